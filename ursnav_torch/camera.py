@@ -58,9 +58,7 @@ class Camera:
                 f"cx={self.cx}, cy={self.cy}, k={list(self.k)}."
             )
         if self.model == "pinhole" and any(self.k):
-            raise InputError(
-                "A pinhole lens takes no k: undistort the images first, or use model=equidistant."
-            )
+            raise InputError("A pinhole lens takes no k: undistort the images first, or use model=equidistant.")
         limit = 180.0 if self.model == "pinhole" else 360.0
         if self.fov_deg is not None and not 0 < self.fov_deg < limit:
             raise InputError(f"fov_deg={self.fov_deg} must lie between 0 and {limit:g} for {self.model}.")
@@ -143,26 +141,20 @@ class Camera:
         for _ in range(12):  # Newton; the polynomial is monotonic over any usable field of view
             t2 = theta * theta
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-            theta = np.clip(
-                theta - (self._distort(theta) - r) / np.where(slope > 0.05, slope, 0.05), 0, math.pi
-            )
+            theta = np.clip(theta - (self._distort(theta) - r) / np.where(slope > 0.05, slope, 0.05), 0, math.pi)
         return theta
 
 
 _KEYS = ("model", "width", "height", "fx", "fy", "cx", "cy")
 
 
-def equidistant_camera(
-    fov_deg: float = 160.0, width: int = 250, height: int = 250, across: str = "width"
-) -> Camera:
+def equidistant_camera(fov_deg: float = 160.0, width: int = 250, height: int = 250, across: str = "width") -> Camera:
     """An ideal fisheye whose field of view ``fov_deg`` spans the image's ``across`` (``width`` or ``diagonal``)."""
     f = _extent(width, height, across) / math.radians(fov_deg)
     return Camera("equidistant", width, height, f, f, (width - 1) / 2, (height - 1) / 2, fov_deg=fov_deg)
 
 
-def pinhole_camera(
-    fov_deg: float = 90.0, width: int = 250, height: int = 250, across: str = "width"
-) -> Camera:
+def pinhole_camera(fov_deg: float = 90.0, width: int = 250, height: int = 250, across: str = "width") -> Camera:
     """An ideal pinhole whose field of view ``fov_deg`` spans the image's ``across`` (``width`` or ``diagonal``).
 
     Raises:
