@@ -1,0 +1,122 @@
+"""Results that are whole or absent: work lies in ``NAME.partial`` and gets its name in one rename."""
+
+import csv
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ursnav_torch.errors import InputError
+
+
+def partial_path(path: Path) -> Path:
+    """Where work in progress on ``path`` lies: beside it, so that the last step is one rename."""
+    return path.with_name(path.name + ".partial")
+
+
+def check_output(path: Path, overwrite: bool) -> None:
+    """Refuse to replace a result.
+
+    Raises:
+        InputError: ``path`` exists (an empty folder is fine) and ``overwrite`` is false, or its folder is missing
+            and cannot be made.
+    """
+    if path.exists() and not overwrite and not _is_empty_folder(path):
+        raise InputError(f"{path} exists already. Choose another out=, or add overwrite=true to replace it.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder {path.parent} for the result cannot be made: {error.strerror}.") from None
+
+
+def commit(partial: Path, path: Path) -> None:
+    """Give finished work its name; a folder that stood there goes first to ``NAME.old`` and is then removed."""
+    if path.is_dir() and partial.is_dir():
+        old = path.with_name(path.name + ".old")
+        shutil.rmtree(old, ignore_errors=True)
+        os.rename(path, old)
+        os.rename(partial, path)
+        shutil.rmtree(old)
+    else:
+        os.replace(partial, path)
+
+
+@contextmanager
+def whole_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
+    """Yield a path to write to; it becomes ``path`` only when the block ends without an error."""
+    check_output(path, overwrite)
+    partial = partial_path(path)
+    try:
+        yield partial
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+    commit(partial, path)
+
+
+def write_json(path: Path, data: Mapping[str, Any], overwrite: bool = True) -> None:
+    """Write plain data as indented JSON, whole or not at all."""
+    with whole_file(path, overwrite) as partial:
+        partial.write_text(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]], overwrite: bool = True) -> None:
+    """Write rows as CSV, whole or not at all; absent values are blank, booleans are ``true`` and ``false``."""
+    with whole_file(path, overwrite) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: cell(row.get(name)) for name in columns} for row in rows)
+
+
+def cell(value: Any) -> str:
+    """One CSV cell: blank for None and NaN, ``true``/``false``, floats to 6 significant decimals."""
+    if value is None or (isinstance(value, float) and value != value):
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+def read_csv(path: Path, required: Sequence[str], what: str) -> list[dict[str, str]]:
+    """The rows of a CSV file with at least the ``required`` columns.
+
+    Raises:
+        InputError: missing, not text, empty, or a column is missing; ``what`` names the kind of file.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except FileNotFoundError:
+        raise InputError(f"There is no {what} file {path}.") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"The {what} file {path} is not readable as CSV: {error}.") from None
+    if not rows:
+        raise InputError(f"The {what} file {path} has no rows; expected the columns {','.join(required)}.")
+    missing = [name for name in required if name not in rows[0]]
+    if missing:
+        raise InputError(
+            f"The {what} file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(rows[0])}."
+        )
+    return rows
+
+
+def number(row: Mapping[str, str], column: str, path: Path, line: int) -> float:
+    """A finite number from a CSV cell.
+
+    Raises:
+        InputError: blank, not a number, or not finite; the message names file, line and column.
+    """
+    try:
+        value = float(row[column])
+    except (TypeError, ValueError):
+        value = float("nan")
+    if value - value != 0:
+        raise InputError(f"{path}, line {line}: {column} is {row.get(column)!r}, expected a finite number.")
+    return value
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
