@@ -1,1 +1,23 @@
-"""TODO."""
+"""The anatomy: the lumen of a kidney's collecting system, its centerline tree, its calyces and their names.
+
+`load_mesh_kidney` and `make_phantom_kidney` make a `Kidney`; `LumenDistance` measures along its lumen and
+`observed_calyx` says which calyx a camera observes. Nothing here knows a camera's lens.
+"""
+
+from ursnav_torch.kidney.anatomy import Calyx, Centerline, Kidney
+from ursnav_torch.kidney.lumen import LumenDistance, observed_calyx
+from ursnav_torch.kidney.mesh import load_mesh_kidney
+from ursnav_torch.kidney.tables import read_calyces, read_centerline, write_calyces, write_centerline
+
+__all__ = [
+    "Calyx",
+    "Centerline",
+    "Kidney",
+    "LumenDistance",
+    "load_mesh_kidney",
+    "observed_calyx",
+    "read_calyces",
+    "read_centerline",
+    "write_calyces",
+    "write_centerline",
+]

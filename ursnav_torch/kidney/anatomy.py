@@ -1,0 +1,101 @@
+"""What a kidney is to the rest of the system: its lumen, its calyces and the tree between them.
+
+Everything is in the kidney frame: the coordinates of the mesh file as given (times the scale), in mm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import InputError
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Calyx:
+    """A minor calyx.
+
+    Attributes:
+        name: "A", "B", ... in order along the tree, or the name in the user's file.
+        tip_mm: (3,) deepest point of its lumen, kidney frame.
+        pole: "upper", "mid", "lower", or "" where the kidney's superior direction is not known.
+    """
+
+    name: str
+    tip_mm: Array
+    pole: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Centerline:
+    """A tree of nodes from the pelvis to the tip of every calyx; a parent comes before its children.
+
+    Attributes:
+        points_mm: (N, 3) nodes, kidney frame.
+        radius_mm: (N,) distance from each node to the wall.
+        parent: (N,) index of the next node towards the pelvis; -1 at the root, node 0.
+        calyx: (N,) index of the one calyx that a node leads to; -1 where it leads to several (pelvis,
+            shared infundibulum).
+    """
+
+    points_mm: Array
+    radius_mm: Array
+    parent: IntArray
+    calyx: IntArray
+
+    def path_to(self, calyx: int) -> IntArray:
+        """Indices of the nodes from the root to the tip of a calyx (index into ``Kidney.calyces``).
+
+        Raises:
+            InputError: there is no such calyx.
+        """
+        own = np.flatnonzero(self.calyx == calyx)
+        if calyx < 0 or not len(own):
+            raise InputError(f"The centerline has calyces 0 to {self.calyx.max()}, got {calyx}.")
+        path = [int(own[-1])]
+        while self.parent[path[-1]] >= 0:
+            path.append(int(self.parent[path[-1]]))
+        return np.array(path[::-1])
+
+    def from_root_mm(self) -> Array:
+        """(N,) length of the way from the root to each node."""
+        step = np.linalg.norm(self.points_mm - self.points_mm[self.parent], axis=1)
+        along = np.zeros(len(self.parent))
+        for node in range(1, len(along)):
+            along[node] = along[self.parent[node]] + step[node]
+        return along
+
+    def tangents(self, path: IntArray) -> Array:
+        """(K, 3) unit directions along a path of K >= 2 nodes from `path_to`, pointing to the tip."""
+        along = np.gradient(self.points_mm[path], axis=0)
+        return along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Kidney:
+    """A collecting system.
+
+    Attributes:
+        mesh: surface of the lumen: closed, one piece, normals outward, kidney frame, mm.
+        calyces: minor calyces, in order along the tree.
+        centerline: from the pelvis to the tip of every calyx.
+        pelvis_mm: (3,) a point in the pelvis; the root of the centerline lies there.
+        scale: 1.0 is anatomy; a kidney printed larger says so.
+        source: where it came from, for people to read.
+    """
+
+    mesh: trimesh.Trimesh
+    calyces: tuple[Calyx, ...]
+    centerline: Centerline
+    pelvis_mm: Array
+    scale: float
+    source: str
+
+    @property
+    def tips_mm(self) -> Array:
+        """(C, 3) tips of the calyces."""
+        return np.array([c.tip_mm for c in self.calyces]).reshape(-1, 3)

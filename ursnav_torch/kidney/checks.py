@@ -1,0 +1,113 @@
+"""Is a mesh the lumen of a collecting system, closed and in mm? Mends what can be mended, refuses the rest."""
+
+import warnings
+
+import networkx as nx
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ursnav_torch.errors import InputError
+
+#: Pieces below this share of the whole volume are specks of the segmentation.
+_SPECK = 0.01
+#: Plausible diagonals of a collecting system, mm at scale 1.
+_DIAGONAL_MM = (25.0, 250.0)
+#: A lumen holds some mL, distended to some tens at most; a kidney has 100 to 250 mL.
+_LARGEST_ML = 90.0
+#: No place in a collecting system is farther from the wall than this, short of gross hydronephrosis.
+_LARGEST_RADIUS_MM = 16.0
+
+
+def check_lumen(mesh: trimesh.Trimesh, name: str, scale: float) -> trimesh.Trimesh:
+    """The mesh (mm, already scaled) as one closed piece with normals outward.
+
+    Specks of less than 1 % of the volume are dropped and an inside-out mesh is turned, each with a warning.
+
+    Raises:
+        InputError: no faces; not in mm; open; several pieces; a volume that no lumen has.
+    """
+    if len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
+        raise InputError(f"{name} has no usable triangles; export the lumen as a triangle mesh (STL, PLY, OBJ or GLB).")
+    mesh.merge_vertices()
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    _check_size(mesh, name, scale)
+    mesh = _one_piece(mesh, name)
+    _check_closed(mesh, name)
+    if mesh.volume < 0:
+        warnings.warn(f"{name} was inside-out (its normals pointed into the lumen); it was turned.", stacklevel=3)
+        mesh.invert()
+    if mesh.volume > _LARGEST_ML * 1000 * scale**3:
+        raise _solid(name, f"holds {mesh.volume / 1000:.0f} mL")
+    return mesh
+
+
+def check_radius(radius_mm: float, name: str, scale: float) -> None:
+    """Refuse a lumen whose largest inscribed sphere is one of a whole kidney.
+
+    Raises:
+        InputError: the radius is beyond 16 mm at scale 1.
+    """
+    if radius_mm > _LARGEST_RADIUS_MM * scale:
+        raise _solid(name, f"has room for a ball of {radius_mm:.0f} mm radius")
+
+
+def _solid(name: str, found: str) -> InputError:
+    return InputError(
+        f"{name} {found}, which fits a whole kidney and not its lumen: a collecting system holds 3 to 30 mL and is nowhere "
+        "wider than 30 mm. Give the inner surface of pelvis and calyces; if the model was enlarged, state kidney.scale."
+    )
+
+
+def _check_size(mesh: trimesh.Trimesh, name: str, scale: float) -> None:
+    low, high = (x * scale for x in _DIAGONAL_MM)
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    if low <= diagonal <= high:
+        return
+    found = (
+        f"{name} measures {diagonal:.3g} mm from corner to corner; a collecting system has {low:.0f} to {high:.0f} mm"
+    )
+    for factor, unit in ((1000, "meters"), (10, "centimeters")):
+        if low <= diagonal * factor <= high:
+            raise InputError(f"{found}. The file seems to be in {unit}: set kidney.scale={factor}, or export it in mm.")
+    raise InputError(
+        f"{found} at scale {scale:g}. Export the lumen in mm, or set kidney.scale to what brings it to anatomy."
+    )
+
+
+def _one_piece(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
+    edges = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(mesh.vertices),) * 2)
+    count, piece = connected_components(graph, directed=False)
+    if count == 1:
+        return mesh
+    pieces = [
+        mesh.submesh([np.flatnonzero(piece[mesh.faces[:, 0]] == p)], append=True, repair=False) for p in range(count)
+    ]
+    sizes = np.array([abs(p.volume) for p in pieces])
+    share = sizes / max(sizes.sum(), 1e-12)
+    large = np.sort(share[share >= _SPECK])[::-1]
+    if len(large) > 1:
+        listed = ", ".join(f"{s * sizes.sum() / 1000:.2f} mL" for s in large)
+        raise InputError(
+            f"{name} consists of {len(large)} pieces ({listed}). One connected lumen is needed: join or delete pieces in the "
+            "segmentation. A shell around another (outer organ and cavity) must be split, and the inner surface kept."
+        )
+    warnings.warn(f"{name}: {count - 1} specks of less than 1 % of the volume were dropped.", stacklevel=4)
+    return pieces[int(share.argmax())]
+
+
+def _check_closed(mesh: trimesh.Trimesh, name: str) -> None:
+    if not mesh.is_watertight:
+        edges, uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+        open_edges = edges[uses == 1]
+        holes = nx.number_connected_components(nx.from_edgelist(open_edges.tolist()))
+        raise InputError(
+            f"{name} is not closed: {len(open_edges)} boundary edges around {holes} holes and {np.sum(uses > 2)} edges with more "
+            "than two triangles. Close it (fill holes, make it manifold) in the program that made it."
+        )
+    if not mesh.is_winding_consistent:
+        mesh.fix_normals()
+        warnings.warn(f"{name}: some triangles faced the other way; they were turned.", stacklevel=4)

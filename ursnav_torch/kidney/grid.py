@@ -1,0 +1,116 @@
+"""The lumen as a grid of voxels with the signed distance to its wall: what paths and distances are computed on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Half of the 26 neighbors of a voxel; the other half are their opposites.
+_HALF_NEIGHBORS = [d for d in np.ndindex(3, 3, 3) if d > (1, 1, 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class LumenGrid:
+    """A grid over the lumen.
+
+    Attributes:
+        wall_mm: (X, Y, Z) distance of every voxel's center to the wall, positive inside; exact inside and
+            within two voxels outside.
+        origin_mm: (3,) center of voxel (0, 0, 0), kidney frame.
+        voxel_mm: edge length of a voxel.
+        index: (X, Y, Z) number of each voxel inside the lumen, -1 outside.
+        centers_mm: (V, 3) centers of the voxels inside, in the order of ``index``.
+    """
+
+    wall_mm: Array
+    origin_mm: Array
+    voxel_mm: float
+    index: IntArray
+    centers_mm: Array
+
+    @classmethod
+    def from_mesh(cls, mesh: trimesh.Trimesh, voxel_mm: float) -> "LumenGrid":
+        """Grid over a closed mesh (mm, normals outward) with voxels of ``voxel_mm``."""
+        origin = mesh.vertices.min(axis=0) - 2.5 * voxel_mm
+        shape = np.ceil((mesh.vertices.max(axis=0) - origin) / voxel_mm + 2.5).astype(int) + 1
+        inside = _fill((mesh.triangles - origin) / voxel_mm, shape)
+        near = ndimage.binary_dilation(inside, iterations=2)
+        wall = -ndimage.distance_transform_edt(~inside) * voxel_mm
+        exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near))
+        wall[near] = np.where(inside[near], exact, -exact)
+        index = np.full(inside.shape, -1)
+        index[inside] = np.arange(inside.sum())
+        return cls(wall, origin, voxel_mm, index, origin + voxel_mm * np.argwhere(inside))
+
+    @property
+    def radius_mm(self) -> Array:
+        """(V,) distance from the center of each voxel inside to the wall."""
+        return self.wall_mm[self.index >= 0]
+
+    def clearance_mm(self, points_mm: ArrayLike) -> Array:
+        """(N,) distance to the wall of points (N, 3), negative outside; interpolated, good to a tenth of a voxel."""
+        at = (np.asarray(points_mm, float).reshape(-1, 3) - self.origin_mm) / self.voxel_mm
+        return ndimage.map_coordinates(self.wall_mm, at.T, order=1, mode="nearest")
+
+    def nearest(self, points_mm: ArrayLike) -> IntArray:
+        """(N,) number of the voxel inside whose center is nearest to each point (N, 3)."""
+        return cKDTree(self.centers_mm).query(np.asarray(points_mm, float).reshape(-1, 3))[1]
+
+    def graph(self) -> csr_array:
+        """(V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors."""
+        i, j, length = [], [], []
+        for step in np.array(_HALF_NEIGHBORS) - 1:
+            low, high = np.maximum(-step, 0), np.maximum(step, 0)
+            a = self.index[tuple(slice(x, n - y) for x, y, n in zip(low, high, self.index.shape, strict=True))]
+            b = self.index[tuple(slice(y, n - x) for x, y, n in zip(low, high, self.index.shape, strict=True))]
+            both = (a >= 0) & (b >= 0)
+            i.append(a[both])
+            j.append(b[both])
+            length.append(np.full(both.sum(), self.voxel_mm * np.linalg.norm(step)))
+        rows, columns, values = np.concatenate(i), np.concatenate(j), np.concatenate(length)
+        half = csr_array((values, (rows, columns)), shape=(len(self.centers_mm),) * 2)
+        return (half + half.T).tocsr()
+
+
+def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike) -> Array:
+    """(N,) unsigned distance in mm of points (N, 3) to a mesh: exact on the few triangles that can be nearest."""
+    points = np.asarray(points_mm, float).reshape(-1, 3)
+    edge = 3.0 * float(np.median(mesh.edges_unique_length))
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=edge, max_iter=30)
+    triangles = vertices[faces]
+    candidates = cKDTree(triangles.mean(axis=1)).query(points, k=min(6, len(faces)))[1].reshape(len(points), -1)
+    best = np.full(len(points), np.inf)
+    for column in candidates.T:
+        on = trimesh.triangles.closest_point(triangles[column], points)
+        best = np.minimum(best, np.linalg.norm(on - points, axis=1))
+    return best
+
+
+def _fill(triangles: Array, shape: IntArray) -> NDArray[np.bool_]:
+    """Voxel centers inside a closed surface (F, 3, 3) in voxel units: crossings are counted along z, column by column."""
+    triangles = triangles + [1.234e-5, 2.345e-5, 0.0]  # so that no vertex or edge lies exactly on a column
+    low = np.ceil(triangles[..., :2].min(axis=1)).astype(int)
+    size = np.maximum(np.floor(triangles[..., :2].max(axis=1)).astype(int) - low + 1, 0)
+    count = size.prod(axis=1)
+    face = np.repeat(np.arange(len(triangles)), count)
+    k = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    column = low[face] + np.stack([k // size[face, 1], k % size[face, 1]], axis=1)
+    corner = triangles[face]
+    to = corner[..., :2] - column[:, None]
+    area = np.stack([_cross(to[:, (v + 1) % 3], to[:, (v + 2) % 3]) for v in range(3)], axis=1)
+    hit = np.all(area > 0, axis=1) | np.all(area < 0, axis=1)
+    z = np.sum(area[hit] * corner[hit, :, 2], axis=1) / area[hit].sum(axis=1)
+    crossings = np.zeros(shape, np.int32)
+    np.add.at(crossings, (*column[hit].T, np.ceil(z).astype(int)), 1)
+    return (np.cumsum(crossings, axis=2) % 2).astype(bool)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

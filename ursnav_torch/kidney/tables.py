@@ -1,0 +1,110 @@
+"""Calyces and centerlines as CSV files."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.kidney.anatomy import Calyx, Centerline
+
+Array = NDArray[np.float64]
+
+_POINT = ("x_mm", "y_mm", "z_mm")
+
+
+def write_calyces(path: Path | str, calyces: Sequence[Calyx], pelvis_mm: Array | None = None) -> None:
+    """Write `calyx,x_mm,y_mm,z_mm,pole`, a row a calyx (kidney frame, tips), after a row `pelvis` if that is given."""
+    rows = [] if pelvis_mm is None else [("pelvis", pelvis_mm, "")]
+    rows += [(c.name, c.tip_mm, c.pole) for c in calyces]
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("calyx", *_POINT, "pole"))
+        writer.writerows((name, *(f"{x:.4f}" for x in point), pole) for name, point, pole in rows)
+
+
+def read_calyces(path: Path | str) -> tuple[tuple[Calyx, ...], Array | None]:
+    """Calyces of a file with the columns `calyx,x_mm,y_mm,z_mm` and perhaps `pole`, and the row `pelvis` (3,) if there.
+
+    Further columns are passed over; points are in the kidney frame.
+
+    Raises:
+        InputError: the file is missing, has no such columns or no calyx, a name is empty or twice, a number is none.
+    """
+    rows = _rows(path, ("calyx", *_POINT))
+    names = [row["calyx"].strip() for row in rows]
+    for name in names:
+        if not name or names.count(name) > 1:
+            raise InputError(
+                f"{path}: the calyx name {name!r} is {'used twice' if name else 'empty'}; name each one once."
+            )
+    points = [np.array([_number(row, key, path) for key in _POINT]) for row in rows]
+    pelvis = next((p for n, p in zip(names, points, strict=True) if n.lower() == "pelvis"), None)
+    calyces = tuple(
+        Calyx(name, point, (row.get("pole") or "").strip())
+        for name, point, row in zip(names, points, rows, strict=True)
+        if name.lower() != "pelvis"
+    )
+    if not calyces:
+        raise InputError(f"{path} names no calyx; give at least one row calyx,x_mm,y_mm,z_mm besides the pelvis.")
+    return calyces, pelvis
+
+
+def write_centerline(path: Path | str, centerline: Centerline, names: Sequence[str]) -> None:
+    """Write `node,parent,calyx,x_mm,y_mm,z_mm,radius_mm`; ``names`` are the calyces' in their order.
+
+    `parent` is -1 at the root; `calyx` is blank where a node leads to several.
+    """
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("node", "parent", "calyx", *_POINT, "radius_mm"))
+        for node, (point, radius) in enumerate(zip(centerline.points_mm, centerline.radius_mm, strict=True)):
+            calyx = centerline.calyx[node]
+            numbers = (f"{x:.4f}" for x in (*point, radius))
+            writer.writerow((node, centerline.parent[node], "" if calyx < 0 else names[calyx], *numbers))
+
+
+def read_centerline(path: Path | str, names: Sequence[str]) -> Centerline:
+    """The centerline of a file by `write_centerline`; ``names`` are the calyces' in their order.
+
+    Raises:
+        InputError: the file is missing or damaged, or names a calyx that is not among ``names``.
+    """
+    rows = _rows(path, ("node", "parent", "calyx", *_POINT, "radius_mm"))
+    unknown = {row["calyx"] for row in rows} - {"", *names}
+    if unknown:
+        raise InputError(f"{path} leads to calyces {sorted(unknown)}, but the calyces are {list(names)}.")
+    parent = np.array([int(_number(row, "parent", path)) for row in rows])
+    if not len(rows) or parent[0] != -1 or np.any(parent[1:] < 0) or np.any(parent >= np.arange(len(rows))):
+        raise InputError(f"{path} is not a tree with every parent before its children; write it anew from the kidney.")
+    calyx = np.array([names.index(row["calyx"]) if row["calyx"] else -1 for row in rows])
+    points = np.array([[_number(row, key, path) for key in _POINT] for row in rows])
+    return Centerline(points, np.array([_number(row, "radius_mm", path) for row in rows]), parent, calyx)
+
+
+def _rows(path: Path | str, columns: Sequence[str]) -> list[dict[str, str]]:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            found = reader.fieldnames or []
+            rows = [row for row in reader if any(row.values())]
+    except FileNotFoundError as error:
+        raise InputError(f"There is no file {path}.") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read as CSV: {error}") from error
+    missing = [c for c in columns if c not in found]
+    if missing:
+        raise InputError(f"{path} lacks the columns {missing}; found {list(found)}, needed {list(columns)}.")
+    return rows
+
+
+def _number(row: dict[str, str], column: str, path: Path | str) -> float:
+    try:
+        value = float(row[column])
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{path}: {column} of {next(iter(row.values()))!r} is {row[column]!r}, not a number.")
+    return value
