@@ -1,1 +1,7 @@
-"""TODO."""
+"""Draws the lumen from inside: ``render(T_kidney_camera) -> View``, by ray casting or OpenGL; light; sensor faults."""
+
+from ursnav_torch.rendering.base import Renderer, View
+from ursnav_torch.rendering.light import FlatLight, HeadLight, Light
+from ursnav_torch.rendering.raycast import RaycastRenderer
+
+__all__ = ["FlatLight", "HeadLight", "Light", "RaycastRenderer", "Renderer", "View"]

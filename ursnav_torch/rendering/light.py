@@ -52,7 +52,7 @@ class HeadLight:
     gamma: float = 2.2
     exposure_percentile: float = 90.0
     exposure_level: float = 0.8
-    reach_mm: float = 1.0
+    reach_mm: float = 4.0
     ambient: float = 0.02
     _offset: NDArray[np.float64] = field(init=False, repr=False, compare=False)
 
