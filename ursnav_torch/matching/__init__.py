@@ -1,1 +1,32 @@
-"""TODO."""
+"""Point sets in, distances and correspondences out: shape contexts of a whole view database as one tensor, batched
+pair costs, and nearest, Sinkhorn, Hungarian or OpenCV's own way from costs to a distance."""
+
+from ursnav_torch.matching.cost import PairCost
+from ursnav_torch.matching.descriptor import ShapeContext, describe, fix_scale, mean_distances
+from ursnav_torch.matching.distances import shape_distances
+from ursnav_torch.matching.hungarian import Hungarian
+from ursnav_torch.matching.matcher import Matcher, Matching
+from ursnav_torch.matching.methods import Correspondences
+from ursnav_torch.matching.nearest import Nearest
+from ursnav_torch.matching.opencv import OpenCV
+from ursnav_torch.matching.point_sets import PointSets, pack
+from ursnav_torch.matching.sinkhorn import ConvergenceWarning, Sinkhorn
+
+__all__ = [
+    "ConvergenceWarning",
+    "Correspondences",
+    "Hungarian",
+    "Matcher",
+    "Matching",
+    "Nearest",
+    "OpenCV",
+    "PairCost",
+    "PointSets",
+    "ShapeContext",
+    "Sinkhorn",
+    "describe",
+    "fix_scale",
+    "mean_distances",
+    "pack",
+    "shape_distances",
+]

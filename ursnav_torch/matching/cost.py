@@ -1,0 +1,112 @@
+"""The cost of taking one point for another: shape context, position and edge direction, a weight each."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ursnav_torch.errors import InputError
+
+#: Cost at a place where the view has no point: above every true cost, and no minimum ever picks it.
+ABSENT = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class PairCost:
+    """Weighted mean of up to three terms, each between 0 and 1.
+
+    Attributes:
+        compare: "hellinger", 1 - sum sqrt(a b), a matrix product; or "chi2", 1/2 sum (a - b)^2 / (a + b).
+        shape_weight: weight of the shape contexts' difference.
+        position_weight: weight of the distance in the picture, clamped at `position_clamp_px` and divided by it.
+        position_clamp_px: distance from which on farther is no worse.
+        direction_weight: weight of sin^2 of the angle between the edges (modulo pi: an edge has no head and no tail).
+    """
+
+    compare: Literal["hellinger", "chi2"] = "hellinger"
+    shape_weight: float = 1.0
+    position_weight: float = 0.0
+    position_clamp_px: float = 60.0
+    direction_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.compare not in ("hellinger", "chi2"):
+            raise InputError(f"compare is {self.compare!r}; accepted are 'hellinger' and 'chi2'.")
+        weights = (self.shape_weight, self.position_weight, self.direction_weight)
+        if min(weights) < 0 or sum(weights) <= 0:
+            raise InputError(f"Weights of shape, position and direction must be >= 0 and not all 0, got {weights}.")
+        if not self.position_clamp_px > 0:
+            raise InputError(f"position_clamp_px must be > 0, got {self.position_clamp_px}.")
+
+    def shares(self) -> tuple[float, float, float]:
+        """Weights of shape, position and direction, summing to 1."""
+        weights = (self.shape_weight, self.position_weight, self.direction_weight)
+        shape, position, direction = (w / sum(weights) for w in weights)
+        return shape, position, direction
+
+
+def product_features(histograms: Tensor, direction: Tensor | None, mask: Tensor, cost: PairCost) -> Tensor:
+    """Rows (..., P, F) whose products are the part of the cost that is a matrix product.
+
+    With a view's rows v and a query's rows q, the cost is ``base(cost) - q @ v.T`` and what is not a product.
+    The last column keeps places without a point out of every minimum: -`ABSENT` there in a view, 1 in a query
+    (`query_features` sets it).
+    """
+    shape, _, along = cost.shares()
+    columns = [histograms.sqrt() * shape**0.5] if cost.compare == "hellinger" and shape > 0 else []
+    if along > 0:
+        if direction is None:
+            raise InputError("The cost weighs edge direction, but no direction was given; set direction_weight=0.")
+        twice = torch.stack([torch.cos(2 * direction), torch.sin(2 * direction)], -1)
+        columns.append(twice * mask[..., None] * (along / 2) ** 0.5)
+    columns.append(torch.where(mask, 0.0, -ABSENT)[..., None])
+    return torch.cat(columns, -1)
+
+
+def query_features(histograms: Tensor, direction: Tensor | None, cost: PairCost) -> Tensor:
+    """`product_features` of a query's points (Pq, D)."""
+    mask = torch.ones(histograms.shape[:-1], dtype=torch.bool)
+    rows = product_features(histograms, direction, mask, cost)
+    rows[..., -1] = 1.0
+    return rows
+
+
+def base(cost: PairCost) -> float:
+    """What the matrix product is subtracted from."""
+    shape, _, along = cost.shares()
+    return along / 2 + (shape if cost.compare == "hellinger" else 0.0)
+
+
+def position_features(points: Tensor, cost: PairCost) -> Tensor:
+    """Rows (..., 4) of a view whose products with `position_query` are squared distances in clamp units."""
+    p = points / cost.position_clamp_px
+    return torch.cat([p.square().sum(-1, keepdim=True), p, torch.ones_like(p[..., :1])], -1)
+
+
+def position_query(points: Tensor, cost: PairCost) -> Tensor:
+    """Rows (Pq, 4) of a query for `position_features`."""
+    q = points / cost.position_clamp_px
+    return torch.cat([torch.ones_like(q[..., :1]), -2 * q, q.square().sum(-1, keepdim=True)], -1)
+
+
+def add_chi2(out: Tensor, views: Tensor, query: Tensor, share: float) -> None:
+    """Add ``share * 1/2 sum (a - b)^2 / (a + b)`` in place, exactly, for histograms that sum to 1.
+
+    Then chi2 is ``2 sum a^2 / (a + b) - 1`` over the bins that the query's point fills (some 17 of 60), so
+    each query point costs one gather, one addition, one reciprocal and one matrix-vector product.
+
+    Args:
+        out: (Pq, N) costs to add to.
+        views: (D, N) histograms of the views' points, a column each.
+        query: (Pq, D) histograms of the query's points.
+        share: the term's weight.
+    """
+    filled = [row.nonzero().flatten() for row in query]
+    buffer = torch.empty(max(len(f) for f in filled) * views.shape[1])
+    for i, bins in enumerate(filled):
+        a = query[i, bins]
+        t = buffer[: len(bins) * views.shape[1]].view(len(bins), -1)
+        torch.index_select(views, 0, bins, out=t)
+        t.add_(a[:, None]).reciprocal_()
+        out[i].addmv_(t.T, a.square(), alpha=2 * share).sub_(share)

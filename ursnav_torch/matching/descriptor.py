@@ -1,0 +1,185 @@
+"""Log-polar shape contexts, batched.
+
+Belongie, Malik, Puzicha: Shape matching and object recognition using shape contexts, PAMI 2002, section 3.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ursnav_torch.errors import InputError, ShapeError
+
+#: Pairs of points handled at once, so that the temporaries stay in the cache.
+_PAIRS_A_CHUNK = 400_000
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeContext:
+    """How a point sees its neighbors.
+
+    Attributes:
+        radial_bins: rings; the innermost reaches from 0 to `r_inner`, the others are even in log radius.
+        angular_bins: sectors of a ring.
+        r_inner: outer edge of the innermost ring, in units of `scale`.
+        r_outer: outer edge of the outermost ring, in units of `scale`; neighbors farther away are not counted.
+        scale: px a unit. A number holds for every set; "database" is the mean distance between two points of a
+            set, averaged over the database; "own" is each set's own mean distance (invariant to scale, but
+            fooled by missing edges).
+        frame: "absolute" measures angles from the image's x axis, "tangent" from the edge's own direction, for
+            an unknown roll.
+    """
+
+    radial_bins: int = 5
+    angular_bins: int = 12
+    r_inner: float = 0.1
+    r_outer: float = 1.0
+    scale: float | Literal["database", "own"] = "database"
+    frame: Literal["absolute", "tangent"] = "absolute"
+
+    def __post_init__(self) -> None:
+        if self.radial_bins < 2 or self.angular_bins < 1:
+            raise InputError(
+                f"A shape context needs at least 2 radial bins and 1 angular bin, "
+                f"got {self.radial_bins} and {self.angular_bins}."
+            )
+        if not 0 < self.r_inner < self.r_outer:
+            raise InputError(f"Expected 0 < r_inner < r_outer, got {self.r_inner} and {self.r_outer}.")
+        if self.frame not in ("absolute", "tangent"):
+            raise InputError(f"frame is {self.frame!r}; accepted are 'absolute' and 'tangent'.")
+        named = self.scale in ("database", "own")
+        if not named and (isinstance(self.scale, str) or not 0 < self.scale < math.inf):
+            raise InputError(f"scale is {self.scale!r}; accepted are a number of px, 'database' and 'own'.")
+
+    @property
+    def size(self) -> int:
+        """Numbers a point, D."""
+        return self.radial_bins * self.angular_bins
+
+    def radii(self) -> Tensor:
+        """Outer edges of the rings (radial_bins,) in units of `scale`."""
+        log_inner, log_outer = math.log10(self.r_inner), math.log10(self.r_outer)
+        return torch.logspace(log_inner, log_outer, self.radial_bins, dtype=torch.float64)
+
+
+def mean_distances(points: Tensor, mask: Tensor) -> Tensor:
+    """Mean distance between two points of each set (B,) in px; nan for sets with fewer than two points."""
+    out = torch.empty(len(points))
+    step = max(1, _PAIRS_A_CHUNK // points.shape[1] ** 2)
+    for start in range(0, len(points), step):
+        p, m = points[start : start + step], mask[start : start + step].float()
+        total = (torch.cdist(p, p) * m[:, :, None] * m[:, None, :]).sum((1, 2))
+        count = m.sum(1)
+        out[start : start + step] = total / (count * (count - 1))
+    return out
+
+
+def fix_scale(settings: ShapeContext, points: Tensor, mask: Tensor) -> ShapeContext:
+    """`settings` with the scale "database" replaced by the number of px that these sets (B, P, 2) give."""
+    if settings.scale != "database":
+        return settings
+    scales = mean_distances(points, mask)
+    scales = scales[torch.isfinite(scales) & (scales > 0)]
+    return replace(settings, scale=float(scales.double().mean()) if len(scales) else 1.0)
+
+
+def describe(
+    points: Tensor,
+    mask: Tensor,
+    settings: ShapeContext,
+    tangents: Tensor | None = None,
+    weights: Tensor | None = None,
+) -> Tensor:
+    """Shape contexts of every point.
+
+    A neighbor at the point's very place has no direction and is not counted. A point with no neighbor in reach
+    gets an even histogram. Bins are turned by a quarter of a sector (half of one in the tangent frame), so that
+    neither level, upright nor diagonal pixel edges, nor the tangent itself, lie on a border between two bins.
+
+    Args:
+        points: (B, P, 2) px, x right, y down.
+        mask: (B, P) bool, true where there is a point.
+        settings: bins, radii, scale and frame.
+        tangents: (B, P) direction of the edge in radians, x towards y; needed in the tangent frame.
+        weights: (B, P) how much a point counts as somebody's neighbor, >= 0; 1 where left out.
+
+    Returns:
+        (B, P, D) float32 histograms that sum to 1, all zero where the mask is false.
+
+    Raises:
+        ShapeError: shapes do not fit together.
+        InputError: the tangent frame without tangents, or the scale is still "database".
+    """
+    _check(points, mask, settings, tangents, weights)
+    out = torch.empty(*mask.shape, settings.size)
+    scale = _scales(settings, points, mask)
+    step = max(1, _PAIRS_A_CHUNK // max(points.shape[1] ** 2, 1))
+    for start in range(0, len(points), step):
+        part = slice(start, start + step)
+        out[part] = _histograms(
+            points[part],
+            mask[part],
+            settings,
+            scale[part],
+            None if tangents is None else tangents[part],
+            None if weights is None else weights[part],
+        )
+    return out
+
+
+def _check(
+    points: Tensor, mask: Tensor, settings: ShapeContext, tangents: Tensor | None, weights: Tensor | None
+) -> None:
+    if points.ndim != 3 or points.shape[2] != 2 or mask.shape != points.shape[:2]:
+        raise ShapeError(
+            f"Expected points (B, P, 2) and mask (B, P), got {tuple(points.shape)} and {tuple(mask.shape)}."
+        )
+    for name, rows in (("tangents", tangents), ("weights", weights)):
+        if rows is not None and rows.shape != mask.shape:
+            raise ShapeError(f"{name} must have shape {tuple(mask.shape)}, got {tuple(rows.shape)}.")
+    if settings.frame == "tangent" and tangents is None:
+        raise InputError("The tangent frame needs the edge direction of every point; give `tangents` (B, P).")
+    if settings.scale == "database":
+        raise InputError("scale is 'database', but there is none here; call fix_scale() with the database first.")
+
+
+def _scales(settings: ShapeContext, points: Tensor, mask: Tensor) -> Tensor:
+    """Px a unit for each set (B,)."""
+    if settings.scale != "own":
+        return torch.full((len(points),), float(settings.scale))
+    scales = mean_distances(points, mask)
+    return torch.where(torch.isfinite(scales) & (scales > 0), scales, torch.ones(()))
+
+
+def _histograms(
+    points: Tensor, mask: Tensor, settings: ShapeContext, scale: Tensor, tangents: Tensor | None, weights: Tensor | None
+) -> Tensor:
+    """`describe` for one chunk; `scale` is (B,) px."""
+    b, p = mask.shape
+    unit = (points / scale[:, None, None]).float()
+    dx = unit[:, None, :, 0] - unit[:, :, None, 0]
+    dy = unit[:, None, :, 1] - unit[:, :, None, 1]
+    squared = dx.square().addcmul_(dy, dy)
+    squared.masked_fill_(squared < 1e-10, math.inf).masked_fill_(~mask[:, None, :], math.inf)
+    ring = torch.bucketize(squared, settings.radii().square().float(), right=True)
+    sector = _sectors(torch.atan2(dy, dx), settings, tangents)
+    wide = (settings.radial_bins + 1) * settings.angular_bins
+    index = ring.mul_(settings.angular_bins).add_(sector)
+    index.add_(torch.arange(b * p).mul_(wide).view(b, p, 1))
+    counts = None if weights is None else weights.float()[:, None, :].expand(b, p, p).reshape(-1)
+    total = torch.bincount(index.view(-1), counts, minlength=b * p * wide).view(b, p, wide)
+    histograms = total[:, :, : settings.size].float()
+    sums = histograms.sum(2, keepdim=True)
+    histograms = torch.where(sums > 0, histograms / sums.clamp_min(1e-30), torch.full((), 1 / settings.size))
+    return histograms * mask[:, :, None]
+
+
+def _sectors(angle: Tensor, settings: ShapeContext, tangents: Tensor | None) -> Tensor:
+    """Sector 0..angular_bins-1 of directions (B, P, P) in radians, as int64."""
+    phase = 0.25
+    if settings.frame == "tangent" and tangents is not None:
+        angle, phase = angle - tangents[:, :, None], 0.5
+    turns = angle.mul_(settings.angular_bins / math.tau).add_(phase).floor_()
+    return turns.remainder_(settings.angular_bins).long()

@@ -1,0 +1,38 @@
+"""What the ways of turning a cost matrix into one distance have in common."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class Correspondences:
+    """Points of a query and the points of one view that they were matched to, K pairs.
+
+    Attributes:
+        query: (K,) int64 rows of the query's points.
+        view: (K,) int64 rows of the view's points.
+        cost: (K,) float32 pair costs, 0 to 1, lower is better.
+    """
+
+    query: Tensor
+    view: Tensor
+    cost: Tensor
+
+
+class Method(Protocol):
+    """A way from costs to distances. Costs are laid out (Pq, V, P): query point, view, the view's point."""
+
+    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
+        """Distances (V,) from costs (Pq, V, P), the views' mask (V, P) and query weights (Pq,) that sum to 1.
+
+        May overwrite `cost`.
+        """
+
+    def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
+        """Final distances (V,) when all views were reduced; `costs_of(views)` gives (Pq, K, P) and mask (K, P)."""
+
+    def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
+        """Correspondences from one view's costs (Pq, N), all of them real points."""

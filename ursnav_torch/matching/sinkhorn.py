@@ -1,0 +1,140 @@
+"""Entropic optimal transport between point sets, batched over views (Cuturi, NeurIPS 2013)."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.matching.methods import Correspondences
+
+_TINY = 1e-30
+
+
+class ConvergenceWarning(UserWarning):
+    """Sinkhorn stopped before its marginals were right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transport:
+    """A batch of transport plans.
+
+    Attributes:
+        cost: (V,) transport cost <plan, cost>.
+        plan: (Pq, V, P) mass moved from query point to view point; 1 in total for each view.
+        marginal_error: (V,) sum over query points of |mass that left - mass that should have|.
+    """
+
+    cost: Tensor
+    plan: Tensor
+    marginal_error: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class Sinkhorn:
+    """Transport cost with an entropy term.
+
+    Attributes:
+        epsilon: weight of the entropy, in units of the cost (0 to 1); smaller is sharper and slower.
+        iterations: at most this many.
+        tolerance: marginal error at which to stop. A `ConvergenceWarning` tells of a view that is not there
+            after the last iteration; infinity runs all iterations and never warns.
+        domain: "plain" is fastest; "log" holds for any epsilon.
+        double: compute in float64.
+    """
+
+    epsilon: float = 0.05
+    iterations: int = 200
+    tolerance: float = 1e-2
+    domain: Literal["plain", "log"] = "plain"
+    double: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.epsilon > 0 or self.iterations < 1 or not self.tolerance > 0:
+            raise InputError(
+                f"Sinkhorn needs epsilon > 0, iterations >= 1 and tolerance > 0, "
+                f"got {self.epsilon}, {self.iterations} and {self.tolerance}."
+            )
+        if self.domain not in ("plain", "log"):
+            raise InputError(f"domain is {self.domain!r}; accepted are 'plain' and 'log'.")
+
+    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
+        """See `Method.reduce`."""
+        return self.transport(cost, mask, weights).cost.float()
+
+    def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
+        """Nothing is left to do."""
+        return distances
+
+    def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
+        """The view point that receives most of each query point's mass."""
+        mask = torch.ones(1, cost.shape[1], dtype=torch.bool)
+        view = self.transport(cost[:, None].clone(), mask, weights).plan[:, 0].argmax(1)
+        query = torch.arange(len(cost))
+        return Correspondences(query, view, cost[query, view])
+
+    def transport(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Transport:
+        """Plans from query points with masses `weights` (Pq,) to the points of each view, evenly (V, P).
+
+        Args:
+            cost: (Pq, V, P).
+            mask: (V, P) bool, true where the view has a point; a view without points gets nan.
+            weights: (Pq,) masses that sum to 1.
+        """
+        dtype = torch.float64 if self.double else torch.float32
+        target = mask.to(dtype) / mask.sum(1, keepdim=True)
+        solve = _plain if self.domain == "plain" else _log
+        result = solve(cost.to(dtype), target, weights.to(dtype), self)
+        worst = float(result.marginal_error.nan_to_num().max()) if len(target) else 0.0
+        if worst > self.tolerance:
+            warnings.warn(
+                f"Sinkhorn stopped after {self.iterations} iterations with a marginal error of {worst:.1e} "
+                f"(tolerance {self.tolerance:.1e}); raise iterations or epsilon, or choose domain='log'.",
+                ConvergenceWarning,
+                stacklevel=2,
+            )
+        return result
+
+
+def _plain(cost: Tensor, target: Tensor, weights: Tensor, settings: Sinkhorn) -> Transport:
+    """Scaling iterations on ``exp(-cost / epsilon)``."""
+    kernel = (cost / -settings.epsilon).exp_()
+    buffer = torch.empty_like(kernel)
+    source = weights[:, None]
+    v = torch.ones_like(target)
+    for step in range(1, settings.iterations + 1):
+        left = torch.mul(kernel, v, out=buffer).sum(2)
+        u = source / left.clamp_min_(_TINY)
+        v = target / torch.mul(kernel, u[:, :, None], out=buffer).sum(0).clamp_min_(_TINY)
+        if _last(step, settings):
+            left = torch.mul(kernel, v, out=buffer).sum(2)
+            error = (u * left - source).abs().sum(0)
+            if step == settings.iterations or float(error.nan_to_num().max()) <= settings.tolerance:
+                break
+    plan = kernel.mul_(v).mul_(u[:, :, None])
+    return Transport(torch.mul(plan, cost, out=buffer).sum((0, 2)), plan, error)
+
+
+def _log(cost: Tensor, target: Tensor, weights: Tensor, settings: Sinkhorn) -> Transport:
+    """The same iterations on the potentials, which cannot under- or overflow."""
+    kernel = cost / -settings.epsilon
+    log_source, log_target = weights.clamp_min(_TINY).log()[:, None], target.clamp_min(_TINY).log()
+    log_target = torch.where(target > 0, log_target, -torch.inf)
+    g = torch.where(target > 0, torch.zeros_like(target), -torch.inf)
+    for step in range(1, settings.iterations + 1):
+        f = log_source - (kernel + g).logsumexp(2)
+        g = log_target - (kernel + f[:, :, None]).logsumexp(0)
+        if _last(step, settings):
+            error = ((kernel + g).logsumexp(2).add_(f).exp_() - weights[:, None]).abs().sum(0)
+            if step == settings.iterations or float(error.nan_to_num().max()) <= settings.tolerance:
+                break
+    plan = (kernel + g + f[:, :, None]).exp_()
+    return Transport((plan * cost).sum((0, 2)), plan, error)
+
+
+def _last(step: int, settings: Sinkhorn) -> bool:
+    """Whether the marginals are looked at after this step: every tenth and the last."""
+    return step == settings.iterations or (step % 10 == 0 and settings.tolerance < torch.inf)

@@ -1,0 +1,59 @@
+"""Small tensor work on one thread, large work in chunks over a few.
+
+PyTorch splits every operation over all threads and waits for each of them; on operations shorter than some
+milliseconds that waiting costs more than it gains. Here whole chunks go to threads instead, and each operation
+stays on its own.
+"""
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import torch
+
+#: Below this many multiply-adds in all, a second thread is not worth waking.
+_WORTH_A_THREAD = 2e8
+
+_lock = threading.Lock()
+_nested = 0
+_threads_before = 1
+
+
+@contextmanager
+def one_thread_an_operation() -> Iterator[int]:
+    """Keep PyTorch's operations on one thread each inside; yields the thread count that was set outside."""
+    global _nested, _threads_before
+    with _lock:
+        if _nested == 0:
+            _threads_before = torch.get_num_threads()
+            if _threads_before > 1:
+                torch.set_num_threads(1)
+        _nested += 1
+        threads = _threads_before
+    try:
+        yield threads
+    finally:
+        with _lock:
+            _nested -= 1
+            if _nested == 0 and threads > 1:
+                torch.set_num_threads(threads)
+
+
+def map_chunks(work: Callable[[slice], None], count: int, chunk: int, cost: float) -> None:
+    """Call `work` on slices of at most `chunk` that cover ``range(count)``.
+
+    Args:
+        work: must be safe to call from several threads on different slices.
+        count: items in all.
+        chunk: items a slice.
+        cost: multiply-adds in all; decides whether more than one thread is used.
+    """
+    parts = [slice(start, min(start + chunk, count)) for start in range(0, count, chunk)]
+    with one_thread_an_operation() as threads:
+        if threads == 1 or len(parts) == 1 or cost < _WORTH_A_THREAD:
+            for part in parts:
+                work(part)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, parts))
