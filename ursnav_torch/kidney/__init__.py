@@ -7,6 +7,7 @@
 from ursnav_torch.kidney.anatomy import Calyx, Centerline, Kidney
 from ursnav_torch.kidney.lumen import LumenDistance, observed_calyx
 from ursnav_torch.kidney.mesh import load_mesh_kidney
+from ursnav_torch.kidney.phantom import make_phantom_kidney
 from ursnav_torch.kidney.tables import read_calyces, read_centerline, write_calyces, write_centerline
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Kidney",
     "LumenDistance",
     "load_mesh_kidney",
+    "make_phantom_kidney",
     "observed_calyx",
     "read_calyces",
     "read_centerline",

@@ -3,7 +3,7 @@
 Everything is in the kidney frame: the coordinates of the mesh file as given (times the scale), in mm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -99,3 +99,15 @@ class Kidney:
     def tips_mm(self) -> Array:
         """(C, 3) tips of the calyces."""
         return np.array([c.tip_mm for c in self.calyces]).reshape(-1, 3)
+
+    def scaled(self, factor: float) -> "Kidney":
+        """The same kidney, larger by a factor."""
+        tree = self.centerline
+        return Kidney(
+            self.mesh.copy().apply_scale(factor),
+            tuple(replace(c, tip_mm=c.tip_mm * factor) for c in self.calyces),
+            replace(tree, points_mm=tree.points_mm * factor, radius_mm=tree.radius_mm * factor),
+            self.pelvis_mm * factor,
+            self.scale * factor,
+            self.source,
+        )

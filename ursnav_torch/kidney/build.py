@@ -1,7 +1,5 @@
 """From a checked lumen to a kidney: pelvis, calyces, centerline, names."""
 
-from dataclasses import replace
-
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -10,7 +8,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.checks import check_radius
 from ursnav_torch.kidney.grid import LumenGrid
-from ursnav_torch.kidney.naming import name_calyces, pole_of
+from ursnav_torch.kidney.naming import name_calyces, with_poles
 from ursnav_torch.kidney.tips import find_pelvis, find_tips
 from ursnav_torch.kidney.tree import grow_tree
 
@@ -50,7 +48,6 @@ def build_kidney(
         tips = find_tips(grid, pelvis, scale)
         calyces = name_calyces(grow_tree(grid, pelvis, tips), tips)
     if superior is not None:
-        middle = np.mean([c.tip_mm for c in calyces], axis=0)
-        calyces = tuple(c if c.pole else replace(c, pole=pole_of(c.tip_mm - middle, superior)) for c in calyces)
+        calyces = with_poles(calyces, superior)
     centerline = grow_tree(grid, pelvis, np.array([c.tip_mm for c in calyces]))
     return Kidney(mesh, calyces, centerline, centerline.points_mm[0], scale, source)

@@ -1,9 +1,12 @@
 """Names of calyces: letters along the tree, and poles."""
 
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney.anatomy import Calyx, Centerline
 
 Array = NDArray[np.float64]
@@ -36,15 +39,19 @@ def letter(number: int) -> str:
     return (letter(number // 26 - 1) if number >= 26 else "") + chr(ord("A") + number % 26)
 
 
-def pole_of(from_middle_mm: Array, superior: Array) -> str:
-    """ "upper", "mid" or "lower" for a tip (3,) relative to the middle of all tips; ``superior`` (3,) points to the head.
+def with_poles(calyces: tuple[Calyx, ...], superior: ArrayLike) -> tuple[Calyx, ...]:
+    """Calyces with "upper", "mid" or "lower" where they have no pole yet; ``superior`` (3,) points to the head.
+
+    A tip belongs to a pole where, seen from the middle of all tips, it lies more than 30 degrees out of the transverse
+    plane.
 
     Raises:
         InputError: ``superior`` is no direction.
     """
-    length = np.linalg.norm(superior)
-    if np.shape(superior) != (3,) or not np.isfinite(length) or length == 0:
+    up = np.asarray(superior, float)
+    if up.shape != (3,) or not np.all(np.isfinite(up)) or not np.any(up):
         raise InputError(f"kidney.superior must be a direction [x, y, z] in the kidney frame, got {superior}.")
-    height = from_middle_mm @ superior / length
-    angle = np.arcsin(np.clip(height / max(np.linalg.norm(from_middle_mm), 1e-9), -1, 1))
-    return "upper" if angle > _POLE_RAD else "lower" if angle < -_POLE_RAD else "mid"
+    off = np.array([c.tip_mm for c in calyces]) - np.mean([c.tip_mm for c in calyces], axis=0)
+    angle = np.pi / 2 - angle_between(off, up)
+    poles = np.where(angle > _POLE_RAD, "upper", np.where(angle < -_POLE_RAD, "lower", "mid"))
+    return tuple(replace(c, pole=c.pole or str(p)) for c, p in zip(calyces, poles, strict=True))

@@ -1,0 +1,153 @@
+"""The surface of a planned collecting system: one implicit function on a grid, then marching cubes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from skimage.measure import marching_cubes
+
+from ursnav_torch.kidney.phantom_plan import Cup, Plan, Tube
+
+Array = NDArray[np.float64]
+
+_VOXEL_MM = 0.5
+_MARGIN_MM = 7.0
+#: Irregularity of the wall: standard deviation and width of bumps, mm.
+_BUMPS_MM = ((0.22, 2.2), (0.05, 0.7))
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Signed distance-like values (X, Y, Z), negative in the lumen, on a grid that starts at ``origin_mm`` (3,)."""
+
+    values: Array
+    origin_mm: Array
+
+    def box(self, points_mm: Array, margin_mm: float) -> tuple[tuple[slice, ...], Array]:
+        """Slices of the grid around points (K, 3) and the nodes (..., 3) there, in mm."""
+        low = (points_mm.min(axis=0) - margin_mm - self.origin_mm) / _VOXEL_MM
+        high = (points_mm.max(axis=0) + margin_mm - self.origin_mm) / _VOXEL_MM
+        low, high = np.maximum(low, 0).astype(int), np.minimum(high + 2, self.values.shape).astype(int)
+        slices = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        nodes = np.stack(np.meshgrid(*(np.arange(s.start, s.stop) for s in slices), indexing="ij"), axis=-1)
+        return slices, self.origin_mm + _VOXEL_MM * nodes
+
+    def join(self, slices: tuple[slice, ...], values: Array, blend_mm: float) -> None:
+        """Unite with other values, rounded off over ``blend_mm``."""
+        self.values[slices] = _smooth_min(self.values[slices], values, blend_mm)
+
+
+def plan_surface(plan: Plan, rng: np.random.Generator) -> trimesh.Trimesh:
+    """The closed lumen surface of a plan, mm, normals outward; perhaps with handles where branches touch."""
+    field = _empty_field(plan)
+    _add_pelvis(field, plan.pelvis_mm)
+    for tube in plan.tubes:
+        _add_tube(field, tube)
+    for cup in plan.cups:
+        _add_cup(field, cup)
+    values = field.values + _bumps(field.values.shape, rng)
+    for tube in plan.tubes:
+        if tube.flat_end:
+            _cut(Field(values, field.origin_mm), tube)
+    values = ndimage.gaussian_filter(values, 0.35 / _VOXEL_MM)
+    labels, count = ndimage.label(values < 0)
+    largest = np.bincount(labels.ravel())[1:].argmax() + 1
+    values = np.where((values < 0) & (labels != largest), 0.1, values)
+    vertices, faces, *_ = marching_cubes(values, 0.0, spacing=(_VOXEL_MM,) * 3)
+    mesh = trimesh.Trimesh(vertices + field.origin_mm, faces[:, ::-1], process=True)
+    mesh = trimesh.smoothing.filter_taubin(mesh, lamb=0.5, nu=0.53, iterations=6)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def _empty_field(plan: Plan) -> Field:
+    points = np.concatenate(
+        [t.points_mm for t in plan.tubes] + [c.base_mm[None] + c.axes[2] * c.depth_mm for c in plan.cups]
+    )
+    points = np.concatenate([points, np.diag(plan.pelvis_mm), -np.diag(plan.pelvis_mm)])
+    origin = points.min(axis=0) - _MARGIN_MM
+    shape = np.ceil((points.max(axis=0) + _MARGIN_MM - origin) / _VOXEL_MM).astype(int) + 1
+    return Field(np.full(shape, 20.0), origin)
+
+
+def _add_pelvis(field: Field, half: Array) -> None:
+    slices, nodes = field.box(np.stack([-half, half]), 4.0)
+    relative = np.linalg.norm(nodes / half, axis=-1)
+    steep = np.linalg.norm(nodes / half**2, axis=-1)
+    field.join(slices, relative * (relative - 1) / np.maximum(steep, 1e-6), 1.0)
+
+
+def _add_tube(field: Field, tube: Tube) -> None:
+    slices, nodes = field.box(tube.points_mm, tube.radius_mm.max() * 1.3 + 2.5)
+    shape, nodes = nodes.shape[:-1], nodes.reshape(-1, 3)
+    distance, k = cKDTree(tube.points_mm).query(nodes)
+    side, up = _frames(tube.points_mm)
+    off = nodes - tube.points_mm[k]
+    angle = np.arctan2(np.sum(off * up[k], axis=1), np.sum(off * side[k], axis=1))
+    angle += tube.twist * k / len(tube.points_mm)
+    outline = (
+        1 + tube.lobes[0] * np.cos(2 * angle - tube.phases[0]) + tube.lobes[1] * np.cos(3 * angle - tube.phases[1])
+    )
+    field.join(slices, (distance - tube.radius_mm[k] * outline).reshape(shape), 1.6)
+
+
+def _frames(line: Array) -> tuple[Array, Array]:
+    """Two unit vectors (K, 3) across a curve (K, 3), turning as little as the curve allows."""
+    tangent = np.gradient(line, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.zeros_like(line)
+    side[0] = np.cross(tangent[0], np.eye(3)[np.abs(tangent[0]).argmin()])
+    for i in range(1, len(line)):
+        side[i] = side[i - 1] - tangent[i] * (side[i - 1] @ tangent[i])
+        side[i] /= np.linalg.norm(side[i])
+    side[0] /= np.linalg.norm(side[0])
+    return side, np.cross(tangent, side)
+
+
+def _add_cup(field: Field, cup: Cup) -> None:
+    tip = cup.base_mm + cup.axes[2] * cup.depth_mm
+    slices, nodes = field.box(np.stack([cup.base_mm, tip]), cup.radii_mm.max() + 3.0)
+    local = (nodes - cup.base_mm) @ cup.axes.T
+    mean = np.sqrt(cup.radii_mm.prod())
+    across = np.linalg.norm(local[..., :2] / cup.radii_mm, axis=-1) * mean
+    lumen = _bowl(across, local[..., 2], cup.neck_mm, mean, cup.depth_mm)
+    for u, v, foot, height in cup.papillae:
+        from_axis = np.hypot(local[..., 0] - u, local[..., 1] - v)
+        surface = cup.depth_mm + 0.3 - height * (1 - (from_axis / foot) ** 2)
+        slope = np.sqrt(1 + (2 * height * np.minimum(from_axis, foot) / foot**2) ** 2)
+        lumen = -_smooth_min(-lumen, (surface - local[..., 2]) / slope, 0.6)
+    field.join(slices, lumen, 0.9)
+
+
+def _bowl(across: Array, along: Array, neck: float, wide: float, depth: float) -> Array:
+    """Distance-like values of a bowl: ``neck`` wide at 0, ``wide`` from 0.6 of its depth on, rounded at its rim by 0.8."""
+    r = 0.8
+    opening = neck + (wide - neck) * np.clip(along / (0.6 * depth), 0, 1) ** 0.8
+    outside = np.stack([across - (opening - r), along - (depth - r), -along - r], axis=-1)
+    return np.linalg.norm(np.maximum(outside, 0), axis=-1) + np.minimum(outside.max(axis=-1), 0) - r
+
+
+def _cut(field: Field, tube: Tube) -> None:
+    """End a tube in a plane across it."""
+    end, before = tube.points_mm[-1], tube.points_mm[-4]
+    direction = (end - before) / np.linalg.norm(end - before)
+    slices, nodes = field.box(end[None], 2.5 * tube.radius_mm[-1])
+    field.values[slices] = np.maximum(field.values[slices], (nodes - end) @ direction)
+
+
+def _bumps(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    total = np.zeros(shape)
+    for height, width in _BUMPS_MM:
+        noise = ndimage.gaussian_filter(rng.standard_normal(shape), width / _VOXEL_MM)
+        total += noise * height / noise.std()
+    return np.clip(total, -0.6, 0.5)
+
+
+def _smooth_min(a: Array, b: Array, blend_mm: float) -> Array:
+    """The smaller of two fields, rounded off where they differ by less than ``blend_mm`` (polynomial, I. Quilez)."""
+    h = np.maximum(blend_mm - np.abs(a - b), 0) / blend_mm
+    return np.minimum(a, b) - h * h * blend_mm / 4
