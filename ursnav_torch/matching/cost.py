@@ -46,36 +46,37 @@ class PairCost:
         return shape, position, direction
 
 
-def product_features(histograms: Tensor, direction: Tensor | None, mask: Tensor, cost: PairCost) -> Tensor:
-    """Rows (..., P, F) whose products are the part of the cost that is a matrix product.
+def view_features(histograms: Tensor, direction: Tensor | None, mask: Tensor, cost: PairCost) -> Tensor:
+    """Rows (..., P, F) of views whose products with `query_features` are all of the cost that is a product.
 
-    With a view's rows v and a query's rows q, the cost is ``base(cost) - q @ v.T`` and what is not a product.
-    The last column keeps places without a point out of every minimum: -`ABSENT` there in a view, 1 in a query
-    (`query_features` sets it).
+    The last column holds the constant part, or `ABSENT` where the mask (..., P) is false.
+
+    Raises:
+        InputError: the cost weighs edge direction and none is given.
     """
     shape, _, along = cost.shares()
-    columns = [histograms.sqrt() * shape**0.5] if cost.compare == "hellinger" and shape > 0 else []
-    if along > 0:
-        if direction is None:
-            raise InputError("The cost weighs edge direction, but no direction was given; set direction_weight=0.")
-        twice = torch.stack([torch.cos(2 * direction), torch.sin(2 * direction)], -1)
-        columns.append(twice * mask[..., None] * (along / 2) ** 0.5)
-    columns.append(torch.where(mask, 0.0, -ABSENT)[..., None])
-    return torch.cat(columns, -1)
+    constant = along / 2 + (shape if cost.compare == "hellinger" else 0.0)
+    last = torch.where(mask, constant, ABSENT)[..., None]
+    columns = [c * mask[..., None] for c in _products(histograms, direction, cost)]
+    return torch.cat([*columns, last], -1)
 
 
 def query_features(histograms: Tensor, direction: Tensor | None, cost: PairCost) -> Tensor:
-    """`product_features` of a query's points (Pq, D)."""
-    mask = torch.ones(histograms.shape[:-1], dtype=torch.bool)
-    rows = product_features(histograms, direction, mask, cost)
-    rows[..., -1] = 1.0
-    return rows
+    """Rows (Pq, F) of a query for `view_features`."""
+    columns = [-c for c in _products(histograms, direction, cost)]
+    return torch.cat([*columns, torch.ones(*histograms.shape[:-1], 1)], -1)
 
 
-def base(cost: PairCost) -> float:
-    """What the matrix product is subtracted from."""
+def _products(histograms: Tensor, direction: Tensor | None, cost: PairCost) -> list[Tensor]:
+    """Columns whose products are the shares of the shape and direction terms that are similarities."""
     shape, _, along = cost.shares()
-    return along / 2 + (shape if cost.compare == "hellinger" else 0.0)
+    columns = [histograms.sqrt() * shape**0.5] if cost.compare == "hellinger" else []
+    if along > 0:
+        if direction is None:
+            raise InputError("The cost weighs edge direction, but none is given; set direction_weight=0.")
+        twice = torch.stack([torch.cos(2 * direction), torch.sin(2 * direction)], -1)
+        columns.append(twice * (along / 2) ** 0.5)
+    return columns
 
 
 def position_features(points: Tensor, cost: PairCost) -> Tensor:

@@ -70,7 +70,7 @@ class Hungarian:
 
 def _settled(solved: list[float], wanted: int, bound: float) -> bool:
     """Whether no view with at least this bound can come among the `wanted` best."""
-    return len(solved) >= wanted and bound > sorted(solved)[wanted - 1]
+    return len(solved) >= wanted and bound >= sorted(solved)[wanted - 1]
 
 
 def assignment_bound(cost: Tensor, mask: Tensor) -> Tensor:

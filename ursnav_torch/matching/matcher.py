@@ -16,8 +16,8 @@ from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
 from ursnav_torch.matching.workers import map_chunks, one_thread_an_operation
 
-#: Numbers in one cost chunk, so that it stays in the second-level cache: 32 views of 100 points.
-_COSTS_A_CHUNK = 320_000
+#: Numbers in one cost chunk, so that it stays in the second-level cache: 40 views of 100 points.
+_COSTS_A_CHUNK = 400_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class Matcher:
         with one_thread_an_operation():
             queries = self._queries(points, direction, weights)
         distances = self._reduce(queries, shares)
-        return distances.amin(0).masked_fill_(self._empty, math.inf)
+        return distances.amin(0).clamp_min_(0.0)
 
     def match(
         self,

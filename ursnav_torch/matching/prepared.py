@@ -42,7 +42,7 @@ class PreparedViews:
     ) -> None:
         histograms = describe(points, mask, descriptor, direction, weights)
         self.descriptor, self.cost, self.mask = descriptor, cost, mask
-        self._features = pair_cost.product_features(histograms, direction, mask, cost)
+        self._features = pair_cost.view_features(histograms, direction, mask, cost)
         self._columns = histograms.view(-1, descriptor.size).T.contiguous() if cost.compare == "chi2" else None
         self._origin = points[mask].mean(0) if bool(mask.any()) else torch.zeros(2)
         self._position = pair_cost.position_features(points - self._origin, cost) if cost.position_weight > 0 else None
@@ -70,23 +70,19 @@ class PreparedViews:
         out = self._buffer(len(query.features), rows.stop - rows.start)
         features = self._features.view(-1, self._features.shape[-1])[rows]
         shares = self.cost.shares()
-        out.fill_(pair_cost.base(self.cost))
-        if self._position is not None:
-            self._add_position(out, query, rows, shares[1])
-        torch.addmm(out, query.features, features.T, alpha=-1, out=out)
+        if self._position is None:
+            torch.mm(query.features, features.T, out=out)
+        else:
+            torch.mm(query.position, self._position.view(-1, 4)[rows].T, out=out)
+            out.clamp_(0.0, 1.0).sqrt_()
+            torch.addmm(out, query.features, features.T, beta=shares[1], out=out)
         if self._columns is not None:
             pair_cost.add_chi2(out, self._columns[:, rows], query.histograms, shares[0])
-        return out.clamp_min_(0.0).view(len(out), -1, width)
+        return out.view(len(out), -1, width)
 
     def costs_of(self, query: PreparedQuery, views: Tensor) -> Tensor:
         """`costs` of single views (K,), in memory of its own: (Pq, K, P)."""
         return torch.cat([self.costs(query, slice(v, v + 1)).clone() for v in views.tolist()], 1)
-
-    def _add_position(self, out: Tensor, query: PreparedQuery, rows: slice, share: float) -> None:
-        """Distances in the picture, in clamp units, clamped at 1 and weighed."""
-        assert self._position is not None
-        torch.mm(query.position, self._position.view(-1, 4)[rows].T, out=out)
-        out.clamp_(0.0, 1.0).sqrt_().mul_(share).add_(pair_cost.base(self.cost))
 
     def _buffer(self, rows: int, columns: int) -> Tensor:
         """A (rows, columns) piece of this thread's scratch memory, which is kept: fresh pages are slow."""

@@ -82,12 +82,13 @@ class Sinkhorn:
         Args:
             cost: (Pq, V, P).
             mask: (V, P) bool, true where the view has a point; a view without points gets nan.
-            weights: (Pq,) masses that sum to 1.
+            weights: (Pq,) masses; they are scaled to sum to 1.
         """
         dtype = torch.float64 if self.double else torch.float32
         target = mask.to(dtype) / mask.sum(1, keepdim=True)
+        source = weights.to(dtype) / weights.to(dtype).sum()
         solve = _plain if self.domain == "plain" else _log
-        result = solve(cost.to(dtype), target, weights.to(dtype), self)
+        result = solve(cost.to(dtype), target, source, self)
         worst = float(result.marginal_error.nan_to_num().max()) if len(target) else 0.0
         if worst > self.tolerance:
             warnings.warn(

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+import torch
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.matching import ConvergenceWarning, Sinkhorn
+
+COST = torch.rand(9, 4, 12, generator=torch.Generator().manual_seed(0))
+MASK = torch.ones(4, 12, dtype=torch.bool)
+MASK[1, 5:] = False
+COST[:, 1, 5:] = 1000.0
+WEIGHTS = torch.linspace(1, 2, 9) / torch.linspace(1, 2, 9).sum()
+
+
+@pytest.mark.parametrize("domain", ["plain", "log"])
+@pytest.mark.parametrize("double", [False, True])
+def test_marginals_are_right(domain: str, double: bool) -> None:
+    settings = Sinkhorn(iterations=2000, tolerance=1e-4, domain=domain, double=double)  # type: ignore[arg-type]
+    found = settings.transport(COST, MASK, WEIGHTS)
+    torch.testing.assert_close(found.plan.sum(2), WEIGHTS[:, None].expand(9, 4).to(found.plan), atol=2e-4, rtol=0)
+    even = MASK / MASK.sum(1, keepdim=True)
+    torch.testing.assert_close(found.plan.sum(0), even.to(found.plan), atol=1e-5, rtol=0)
+    assert found.plan[:, 1, 5:].sum() == 0
+    assert (found.marginal_error <= 1e-4).all()
+
+
+@pytest.mark.parametrize("epsilon", [0.03, 0.1])
+def test_agrees_with_pot(epsilon: float) -> None:
+    ot = pytest.importorskip("ot", reason="POT is not installed")
+    settings = Sinkhorn(epsilon=epsilon, iterations=20000, tolerance=1e-9, double=True)
+    found = settings.transport(COST, MASK, WEIGHTS)
+    for v in range(4):
+        n = int(MASK[v].sum())
+        cost = COST[:, v, :n].double().numpy()
+        source = WEIGHTS.double().numpy()
+        plan = ot.sinkhorn(source / source.sum(), np.full(n, 1 / n), cost, epsilon, numItermax=20000, stopThr=1e-12)
+        np.testing.assert_allclose(found.plan[:, v, :n].numpy(), plan, atol=1e-7)
+        assert found.cost[v].item() == pytest.approx((plan * cost).sum(), abs=1e-7)
+
+
+def test_both_domains_agree_and_log_stands_a_tiny_epsilon() -> None:
+    plain = Sinkhorn(iterations=500, tolerance=1e-3).transport(COST, MASK, WEIGHTS)
+    log = Sinkhorn(iterations=500, tolerance=1e-3, domain="log").transport(COST, MASK, WEIGHTS)
+    torch.testing.assert_close(plain.plan, log.plan, atol=1e-5, rtol=0)
+    tiny = Sinkhorn(epsilon=1e-4, iterations=50, tolerance=float("inf"), domain="log").transport(COST, MASK, WEIGHTS)
+    assert tiny.plan.isfinite().all()
+
+
+def test_too_few_iterations_are_told() -> None:
+    with pytest.warns(ConvergenceWarning, match="raise iterations or epsilon"):
+        Sinkhorn(iterations=1, tolerance=1e-6).transport(COST, MASK, WEIGHTS)
+
+
+def test_a_plain_kernel_that_underflows_is_told() -> None:
+    with pytest.warns(ConvergenceWarning, match="domain='log'"):
+        Sinkhorn(epsilon=1e-4).transport(COST, MASK, WEIGHTS)
+
+
+def test_refuses_settings() -> None:
+    with pytest.raises(InputError, match="epsilon > 0"):
+        Sinkhorn(epsilon=0)
+    with pytest.raises(InputError, match="'plain' and 'log'"):
+        Sinkhorn(domain="dual")  # type: ignore[arg-type]
