@@ -84,7 +84,7 @@ def matching_from(method: str, settings: dict[str, Any]) -> Matching:
         names = [f.name for f in dataclasses.fields(kind)]
         parts[key] = kind(**{name: rest.pop(name) for name in names if name in rest})
     if "roll_deg" in rest:
-        parts["roll_deg"] = tuple(rest.pop("roll_deg"))
+        parts["roll_deg"] = rest.pop("roll_deg")
     if rest:
         known = [f.name for k in (METHODS[method], PairCost, ShapeContext) for f in dataclasses.fields(k)]
         raise InputError(

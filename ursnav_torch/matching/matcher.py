@@ -1,6 +1,7 @@
 """A view database prepared once, and queries against it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -35,10 +36,11 @@ class Matching:
     descriptor: ShapeContext = field(default_factory=ShapeContext)
     cost: PairCost = field(default_factory=PairCost)
     method: Method | OpenCV = field(default_factory=Nearest)
-    roll_deg: tuple[float, ...] = (0.0,)
+    roll_deg: Sequence[float] = (0.0,)
 
     def __post_init__(self) -> None:
-        if not len(self.roll_deg):
+        object.__setattr__(self, "roll_deg", tuple(self.roll_deg))  # a list from a file is welcome
+        if not self.roll_deg:
             raise InputError("roll_deg is empty; give at least one roll, e.g. [0].")
         if len(self.roll_deg) > 1 and isinstance(self.method, OpenCV):
             raise InputError("matching=opencv has no roll search; set roll_deg=[0].")
