@@ -101,9 +101,7 @@ class GrblRobot(Robot):
             self._link = None
 
     def _joints_ahead(self) -> Joints:
-        if self._axes_mm is None:
-            self._settle()
-        return self.drive.joints(self._axes_mm)
+        return self.drive.joints(self._settle() if self._axes_mm is None else self._axes_mm)
 
     def _send(self, rates: JointRates) -> JointRates:
         now = time.monotonic()
@@ -120,8 +118,7 @@ class GrblRobot(Robot):
             return JointRates()
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
         self._ask(f"$J=G21G91{words}F{feed:.2f}")
-        assert self._axes_mm is not None
-        self._axes_mm = self._axes_mm + step
+        self._axes_mm = None if self._axes_mm is None else self._axes_mm + step
         self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
         joints = self.drive.joints(step / duration)
         self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
@@ -163,14 +160,14 @@ class GrblRobot(Robot):
         self._last_axes_mm = axes - self._offset_mm
         return self.drive.joints(self._last_axes_mm), state == "Jog"
 
-    def _settle(self) -> None:
-        """Wait until the board stands still after a halt and take its position as the starting point."""
+    def _settle(self) -> Array:
+        """Wait until the board stands still after a halt; its position (3,) is the new starting point."""
         deadline = time.monotonic() + MAX_QUEUED_S
         while True:
             state, axes = self._status(self.deadline_s)
             if state == "Idle":
                 self._axes_mm = self._last_axes_mm = axes - self._offset_mm
-                return
+                return self._last_axes_mm
             if state == "Alarm" or time.monotonic() > deadline:
                 raise DeviceProtocolError(f"{self.port}: GRBL does not come to rest but is in state {state}.")
             time.sleep(0.005)

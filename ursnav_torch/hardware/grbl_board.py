@@ -4,6 +4,7 @@ Written from GRBL's published interface; it plans straight moves with a look-ahe
 within its settings, and forgets nothing when its host dies.
 """
 
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable
@@ -228,4 +229,4 @@ class GrblBoard:
 def _words(text: str) -> list[tuple[str, float]]:
     """``X1.5F60`` as letters and values; raises ValueError where it cannot be read."""
     starts = [n for n, c in enumerate(text) if c.isalpha()] + [len(text)]
-    return [(text[a], float(text[a + 1 : b])) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    return [(text[a], float(text[a + 1 : b])) for a, b in itertools.pairwise(starts)]

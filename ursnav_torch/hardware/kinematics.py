@@ -38,7 +38,7 @@ class Segment:
             if not getattr(self, name) > 0:
                 raise InputError(f"Segment {name} must be positive, got {getattr(self, name)}.")
 
-    def T_base_point(self, bend_rad: ArrayLike, along_mm: float | None = None) -> Array:
+    def point_transform(self, bend_rad: ArrayLike, along_mm: float | None = None) -> Array:
         """Transform (4, 4) to the base from the point ``along_mm`` up the segment (its tip without it).
 
         Args:
@@ -118,8 +118,8 @@ class Drive:
         return self.joints(np.asarray(steps, float) / self.steps_per_mm)
 
 
-def T_base_tip(segment: Segment, joints: Joints) -> Array:
+def tip_transform(segment: Segment, joints: Joints) -> Array:
     """Tip pose (4, 4) in the slider's frame: forward along z by the insertion, then the bend."""
-    T = segment.T_base_point([joints.bend_x_rad, joints.bend_y_rad])
+    T = segment.point_transform([joints.bend_x_rad, joints.bend_y_rad])
     T[2, 3] += joints.insertion_mm
     return T

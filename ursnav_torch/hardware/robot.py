@@ -174,4 +174,3 @@ class Robot(Device):
             if self.gate.is_stale(self.watchdog_s):
                 self.gate.disarm(f"watchdog: no command for {self.watchdog_s} s")
                 self.stop()
-

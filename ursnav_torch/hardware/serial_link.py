@@ -1,5 +1,6 @@
 """Bytes over a serial port, with a deadline on every read and one kind of error for a pulled plug."""
 
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ class SerialLink:
     def __init__(self, port: str, baud: int) -> None:
         self.port = port
         self._pending = bytearray()
+        self._write_lock = threading.Lock()
         try:
             self._serial = serial.serial_for_url(port, baudrate=baud, timeout=0, write_timeout=1.0)
         except (serial.SerialException, OSError, ValueError) as error:
@@ -34,13 +36,13 @@ class SerialLink:
         self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Send ``data``.
+        """Send ``data`` in one piece; threads do not mix theirs.
 
         Raises:
             DeviceNotConnectedError: the device was unplugged.
             DeviceTimeoutError: the device takes no bytes for a second.
         """
-        with self._unplugged():
+        with self._write_lock, self._unplugged():
             try:
                 self._serial.write(data)
             except serial.SerialTimeoutException as error:
