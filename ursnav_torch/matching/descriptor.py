@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ursnav_torch.errors import InputError, ShapeError
+from ursnav_torch.matching.workers import map_chunks
 
 #: Pairs of points handled at once, so that the temporaries stay in the cache.
 _PAIRS_A_CHUNK = 400_000
@@ -67,12 +68,15 @@ class ShapeContext:
 def mean_distances(points: Tensor, mask: Tensor) -> Tensor:
     """Mean distance between two points of each set (B,) in px; nan for sets with fewer than two points."""
     out = torch.empty(len(points))
-    step = max(1, _PAIRS_A_CHUNK // points.shape[1] ** 2)
-    for start in range(0, len(points), step):
-        p, m = points[start : start + step], mask[start : start + step].float()
+
+    def work(part: slice) -> None:
+        p, m = points[part], mask[part].float()
         total = (torch.cdist(p, p) * m[:, :, None] * m[:, None, :]).sum((1, 2))
         count = m.sum(1)
-        out[start : start + step] = total / (count * (count - 1))
+        out[part] = total / (count * (count - 1))
+
+    pairs = points.shape[1] ** 2
+    map_chunks(work, len(points), max(1, _PAIRS_A_CHUNK // max(pairs, 1)), float(10 * len(points) * pairs))
     return out
 
 
@@ -115,17 +119,14 @@ def describe(
     _check(points, mask, settings, tangents, weights)
     out = torch.empty(*mask.shape, settings.size)
     scale = _scales(settings, points, mask)
-    step = max(1, _PAIRS_A_CHUNK // max(points.shape[1] ** 2, 1))
-    for start in range(0, len(points), step):
-        part = slice(start, start + step)
-        out[part] = _histograms(
-            points[part],
-            mask[part],
-            settings,
-            scale[part],
-            None if tangents is None else tangents[part],
-            None if weights is None else weights[part],
-        )
+
+    def work(part: slice) -> None:
+        along = None if tangents is None else tangents[part]
+        counts = None if weights is None else weights[part]
+        out[part] = _histograms(points[part], mask[part], settings, scale[part], along, counts)
+
+    pairs = points.shape[1] ** 2
+    map_chunks(work, len(points), max(1, _PAIRS_A_CHUNK // max(pairs, 1)), float(100 * len(points) * pairs))
     return out
 
 

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
@@ -56,7 +58,19 @@ def trimmed_mean(best: Tensor, weights: Tensor, keep: float) -> Tensor:
     """Weighted mean (V,) of the cheapest rows of `best` (Pq, V) that make up the share `keep` of the weight."""
     if keep >= 1:
         return weights @ best
-    ordered, order = best.sort(0)
-    w = weights[order]
-    used = (keep - (w.cumsum(0) - w)).clamp_min_(0).minimum(w)
-    return (used * ordered).sum(0) / keep
+    rows, w = best.T.contiguous().numpy(), weights.numpy()
+    if w.min() == w.max():
+        return torch.from_numpy(_even_trimmed_mean(rows, keep * len(w)))
+    order = np.argsort(rows, 1)  # NumPy's sorts are vectorized, PyTorch's are not
+    w = w[order]
+    used = np.minimum(np.maximum(keep - (np.cumsum(w, 1) - w), 0), w)
+    return torch.from_numpy((used * np.take_along_axis(rows, order, 1)).sum(1) / np.float32(keep))
+
+
+def _even_trimmed_mean(rows: NDArray[np.float32], count: float) -> NDArray[np.float32]:
+    """Mean (V,) of the `count` smallest numbers of each row (V, N), the last of them in part."""
+    whole = int(count)
+    if whole >= rows.shape[1]:
+        return rows.mean(1)
+    ordered = np.partition(rows, whole, 1)
+    return (ordered[:, :whole].sum(1) + np.float32(count - whole) * ordered[:, whole]) / np.float32(count)

@@ -49,10 +49,11 @@ def map_chunks(work: Callable[[slice], None], count: int, chunk: int, cost: floa
         chunk: items a slice.
         cost: multiply-adds in all; decides whether more than one thread is used.
     """
-    even = -(-count // max(1, -(-count // chunk)))
+    pieces = max(1, -(-count // chunk))
+    even = max(1, -(-count // pieces))
     parts = [slice(start, min(start + even, count)) for start in range(0, count, even)]
     with one_thread_an_operation() as threads:
-        if threads == 1 or len(parts) == 1 or cost < _WORTH_A_THREAD:
+        if threads == 1 or len(parts) <= 1 or cost < _WORTH_A_THREAD:
             for part in parts:
                 work(part)
             return
