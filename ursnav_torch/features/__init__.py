@@ -1,1 +1,25 @@
-"""TODO."""
+"""From a picture to what can be matched: edge points, and polar maps of relief and edge direction."""
+
+from ursnav_torch.features.base import NO_MAPS, EdgePoints, Extractor, Features
+from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
+from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
+from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
+
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "NO_MAPS",
+    "DefaultExtractor",
+    "DefaultSettings",
+    "EdgePoints",
+    "Extractor",
+    "Features",
+    "Settings",
+    "ThesisExtractor",
+    "ThesisSettings",
+    "check_image",
+    "make_extractor",
+    "read_image",
+    "settings_from_dict",
+    "settings_to_dict",
+]

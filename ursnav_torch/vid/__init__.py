@@ -1,1 +1,20 @@
-"""TODO."""
+"""The virtual image database: views of a kidney with known poses, planned, drawn, stored, loaded."""
+
+from ursnav_torch.vid.base import Vid, ViewFeatures
+from ursnav_torch.vid.build import build_vid
+from ursnav_torch.vid.draw import Studio, pack
+from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
+from ursnav_torch.vid.store import load_vid, save_vid
+
+__all__ = [
+    "Plan",
+    "PlanSettings",
+    "Studio",
+    "Vid",
+    "ViewFeatures",
+    "build_vid",
+    "load_vid",
+    "pack",
+    "plan_views",
+    "save_vid",
+]

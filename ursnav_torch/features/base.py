@@ -1,0 +1,63 @@
+"""What an extractor gives."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class EdgePoints:
+    """Points on the edges of one picture.
+
+    Attributes:
+        points: (N, 2) float32, x and y in px of the picture.
+        direction: (N,) float32, the edge's own direction in radians, x towards y, in [0, pi): an edge has no head.
+        weight: (N,) float32 in 0..1, how surely this is an edge.
+    """
+
+    points: Tensor
+    direction: Tensor
+    weight: Tensor
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def subset(self, index: Tensor) -> "EdgePoints":
+        """The points at ``index``, in that order."""
+        return EdgePoints(self.points[index], self.direction[index], self.weight[index])
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """One picture, ready to be matched.
+
+    Attributes:
+        edges: its sampled edge points.
+        maps: (C, R, A) polar maps, the first the relief, the others pairs of edge directions; empty (0, 0, 0)
+            for an extractor that compares points alone.
+        edge_image: (H, W) bool, all edges before sampling, to be looked at.
+    """
+
+    edges: EdgePoints
+    maps: Tensor
+    edge_image: NDArray[np.bool_]
+
+
+class Extractor(Protocol):
+    """Reduces pictures of one lens to features."""
+
+    def extract(self, image: NDArray[np.uint8], virtual: bool = False) -> Features:
+        """Features of a picture (H, W) or (H, W, 3) blue, green, red; ``virtual`` marks a drawn, noiseless one.
+
+        Raises:
+            InputError: the picture cannot be of this lens.
+            FeatureError: it shows too little to be matched.
+        """
+        ...
+
+
+NO_MAPS = torch.zeros(0, 0, 0)

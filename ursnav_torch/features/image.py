@@ -1,0 +1,88 @@
+"""Pictures in: files of any common kind, one gray signal out of them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+
+#: File name endings that runners take for pictures.
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """A picture as uint8, (H, W) or (H, W, 3) in OpenCV's order blue, green, red.
+
+    Transparency is dropped; 16 bits are scaled by the picture's own maximum, since cameras fill 10 to 16 of them.
+
+    Raises:
+        InputError: missing, empty, cut short or not a picture.
+    """
+    path = Path(path)
+    try:
+        data = np.fromfile(path, np.uint8)
+    except FileNotFoundError:
+        raise InputError(f"There is no image {path}.") from None
+    except OSError as error:
+        raise InputError(f"The image {path} cannot be read: {error.strerror}.") from None
+    if _cut_short(path, data):
+        raise InputError(f"The image {path.name} is cut short ({len(data)} bytes, its end is missing); copy it again.")
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    if image is None:
+        raise InputError(f"{path.name} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
+    return _to_8_bit(image[..., :3] if image.ndim == 3 and image.shape[2] == 4 else image)
+
+
+def check_image(image: NDArray[np.uint8], camera: Camera) -> None:
+    """Refuse a picture that the lens cannot have taken, or that shows nothing at all.
+
+    Raises:
+        InputError: wrong kind of array or wrong size.
+    """
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3):
+        kind = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise InputError(f"A picture must be a uint8 array (H, W) or (H, W, 3), got {kind}.")
+    height, width = image.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"The picture is {width} x {height} px, but the lens is {camera.width} x {camera.height} px; "
+            "use pictures as the calibrated camera gives them, neither cropped nor resized."
+        )
+
+
+def signal(image: NDArray[np.uint8]) -> Tensor:
+    """One gray signal (H, W), float32 in 0..255, from a gray or color picture.
+
+    Channels count by the square of their mean, which is their share of shot-noise-limited signal: a gray scene is
+    averaged over all three; in a red one (blood takes green and blue away) red prevails, where vessels show least.
+    """
+    x = torch.from_numpy(np.ascontiguousarray(image)).float()
+    if x.ndim == 2:
+        return x
+    weight = x.mean((0, 1)).square() + 1e-6
+    return x @ (weight / weight.sum())
+
+
+def _to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8, copy=False)
+    x = image.astype(np.float64)
+    top = float(x.max())
+    return np.round(x * (255 / top if top > 0 else 0)).astype(np.uint8)
+
+
+def _cut_short(path: Path, data: NDArray[np.uint8]) -> bool:
+    """Whether a JPEG or PNG ends early; OpenCV would fill in the missing part without a word."""
+    head, tail = data[:8].tobytes(), data[-64:].tobytes()
+    if head[:3] == b"\xff\xd8\xff":
+        return b"\xff\xd9" not in tail
+    if head == b"\x89PNG\r\n\x1a\n":
+        return b"IEND" not in tail
+    return False

@@ -1,0 +1,45 @@
+"""Extractors by name, so that a VID can say in plain data which one made it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features.base import Extractor
+from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
+
+Settings = DefaultSettings | ThesisSettings
+
+_KINDS: dict[str, type[DefaultSettings] | type[ThesisSettings]] = {"default": DefaultSettings, "thesis": ThesisSettings}
+
+
+def make_extractor(settings: Settings, camera: Camera) -> Extractor:
+    """The extractor of these settings for one lens."""
+    if isinstance(settings, ThesisSettings):
+        return ThesisExtractor(settings, camera)
+    return DefaultExtractor(settings, camera)
+
+
+def settings_to_dict(settings: Settings) -> dict[str, Any]:
+    """Plain data: the kind's name and its values."""
+    kind = next(name for name, kind in _KINDS.items() if isinstance(settings, kind))
+    return {"kind": kind} | {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(settings).items()}
+
+
+def settings_from_dict(data: Mapping[str, Any]) -> Settings:
+    """The inverse of `settings_to_dict`.
+
+    Raises:
+        InputError: an unknown kind or setting.
+    """
+    values = dict(data)
+    kind = values.pop("kind", None)
+    if kind not in _KINDS:
+        raise InputError(f"Unknown kind of features {kind!r}; known are {', '.join(_KINDS)}.")
+    try:
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return _KINDS[kind](**plain)
+    except TypeError as error:
+        raise InputError(f"The settings of {kind} features are not of this version: {error}.") from None

@@ -1,0 +1,142 @@
+"""Building a VID: plan, draw in shards on all cores, join, and give it its name when all is there."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.features import Settings, settings_to_dict
+from ursnav_torch.files import check_output, commit, partial_path
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.vid.base import Vid
+from ursnav_torch.vid.draw import MakeRenderer, Studio, join, load_features, save_features
+from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
+from ursnav_torch.vid.store import load_vid, save_vid
+
+#: Views drawn in one go; what an interruption can lose.
+SHARD = 50
+
+Advance = Callable[[int], None]
+
+
+def build_vid(
+    kidney: Kidney,
+    camera: Camera,
+    settings: Settings,
+    make_renderer: MakeRenderer,
+    plan: PlanSettings,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    workers: int | None = None,
+    advance: Advance = lambda n: None,
+    started: Callable[[int], None] = lambda n: None,
+    finish: Callable[[Vid], dict[str, object] | None] = lambda vid: None,
+) -> Vid:
+    """Build the VID of a kidney in folder ``out``; a build that was interrupted goes on from its last shard.
+
+    Args:
+        kidney, camera: what to draw, through which lens.
+        settings: of the features.
+        make_renderer: called as ``make_renderer(mesh, camera)`` in every worker process.
+        plan: which views.
+        out: the folder to be made.
+        overwrite: replace what stands there.
+        workers: processes; all cores when None, none besides this one when 1.
+        advance: called with the number of views finished.
+        started: called once with the number of views there will be.
+        finish: called with the drawn VID; what it returns is stored as the VID's calibration.
+
+    Raises:
+        InputError: ``out`` exists, or a calyx has no room for the scope.
+    """
+    check_output(out, overwrite)
+    views = plan_views(kidney, LumenDistance.from_kidney(kidney), plan)
+    started(len(views.calyx))
+    work = partial_path(out)
+    _prepare(work, _fingerprint(kidney, camera, settings, make_renderer, views))
+    studio = Studio(kidney.mesh, camera, settings, make_renderer)
+    _draw_all(studio, views.T_kidney_camera, work, workers or os.cpu_count() or 1, advance)
+    shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
+    vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
+    vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, vid.features, work, finish(vid))
+    save_vid(vid, work)
+    shutil.rmtree(work / "shards")
+    (work / "fingerprint.json").unlink()
+    commit(work, out)
+    return load_vid(out)
+
+
+def _prepare(work: Path, fingerprint: str) -> None:
+    """Make the work folder; keep what an interrupted build of the very same VID left there."""
+    mark = work / "fingerprint.json"
+    if not (mark.exists() and mark.read_text() == fingerprint):
+        shutil.rmtree(work, ignore_errors=True)
+    for folder in (work / "images", work / "shards"):
+        folder.mkdir(parents=True, exist_ok=True)
+    mark.write_text(fingerprint)
+
+
+def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, workers: int, advance: Advance) -> None:
+    """Draw what is missing of shards 0, 1, ... of ``SHARD`` views each."""
+    todo = []
+    for shard, start in enumerate(range(0, len(T), SHARD)):
+        if _shard_path(work, shard).exists():
+            advance(len(T[start : start + SHARD]))
+        else:
+            todo.append((shard, start, T[start : start + SHARD]))
+    workers = min(workers, len(todo))
+    if workers <= 1:
+        for task in todo:
+            advance(draw_shard(studio, work, *task))
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        pending = {pool.submit(draw_shard, studio, work, *task) for task in todo}
+        try:
+            for done in _as_they_end(pending):
+                advance(done)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def draw_shard(studio: Studio, work: Path, shard: int, first: int, T: NDArray[np.float64]) -> int:
+    """Draw views ``first``... and store their features as one shard; the number of views."""
+    features = studio.draw(T, first, work / "images")
+    path = _shard_path(work, shard)
+    save_features(partial_path(path), features)
+    os.replace(partial_path(path), path)
+    return len(T)
+
+
+def _as_they_end(pending: set[Future[int]]) -> Iterator[int]:
+    while pending:
+        done, pending = wait(pending, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield future.result()
+
+
+def _shard_path(work: Path, shard: int) -> Path:
+    return work / "shards" / f"{shard:05d}.safetensors"
+
+
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def _fingerprint(kidney: Kidney, camera: Camera, settings: Settings, make_renderer: MakeRenderer, views: Plan) -> str:
+    """Changes when any input of the drawing does."""
+    digest = hashlib.sha256()
+    for array in (kidney.mesh.vertices, kidney.mesh.faces, views.T_kidney_camera):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    plain = {"camera": camera.to_dict(), "features": settings_to_dict(settings), "renderer": repr(make_renderer)}
+    return json.dumps(plain | {"arrays": digest.hexdigest()}, sort_keys=True)

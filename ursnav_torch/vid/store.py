@@ -1,0 +1,164 @@
+"""A VID on disk: plain files that any tool can read; `vid.json` says what they are and proves they are whole."""
+
+import hashlib
+import json
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from ursnav_torch.camera import camera_from_dict
+from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.features import settings_from_dict, settings_to_dict
+from ursnav_torch.files import number, read_csv, write_csv
+from ursnav_torch.geometry import quaternion_from_transform, transform_from_quaternion
+from ursnav_torch.kidney import Kidney, read_calyces, read_centerline, write_calyces, write_centerline
+from ursnav_torch.vid.base import Vid
+from ursnav_torch.vid.draw import load_features, save_features
+
+FORMAT = 1
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+VIEW_COLUMNS = ("view", "calyx", *POSE_COLUMNS)
+_FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "views.csv", "features.safetensors")
+
+
+def save_vid(vid: Vid, folder: Path) -> None:
+    """Write everything but the pictures of ``vid`` into ``folder``, `vid.json` last."""
+    names = [c.name for c in vid.kidney.calyces]
+    vid.kidney.mesh.export(folder / "kidney.stl")
+    write_calyces(folder / "calyces.csv", vid.kidney.calyces, vid.kidney.pelvis_mm)
+    write_centerline(folder / "centerline.csv", vid.kidney.centerline, names)
+    write_csv(folder / "views.csv", VIEW_COLUMNS, view_rows(vid))
+    save_features(folder / "features.safetensors", vid.features)
+    write_description(folder, describe(vid))
+
+
+def describe(vid: Vid) -> dict[str, Any]:
+    """What `vid.json` says, before the files' checksums."""
+    return {
+        "format": FORMAT,
+        "package_version": package_version(),
+        "views": len(vid),
+        "camera": vid.camera.to_dict(),
+        "kidney": {"source": vid.kidney.source, "scale": vid.kidney.scale},
+        "features": settings_to_dict(vid.settings),
+        "calibration": vid.calibration,
+    }
+
+
+def write_description(folder: Path, description: dict[str, Any]) -> None:
+    """Write `vid.json` with the sha256 of every file and of its own content."""
+    description = description | {"sha256": {name: _sha256(folder / name) for name in _FILES}}
+    description["checksum"] = _checksum(description)
+    text = json.dumps(description, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "vid.json").write_text(text + "\n", encoding="utf-8")
+
+
+def load_vid(path: str | Path) -> Vid:
+    """Open a VID folder; the features are memory-mapped.
+
+    Raises:
+        InputError: not a VID, half-written, changed after it was built, or of another format version.
+    """
+    folder = Path(path)
+    description = _read_description(folder)
+    kidney = _load_kidney(folder, description)
+    camera = camera_from_dict(description["camera"], f"{folder / 'vid.json'}")
+    rows = read_csv(folder / "views.csv", VIEW_COLUMNS, "views")
+    T = poses_from_rows(rows, folder / "views.csv")
+    index = {c.name: i for i, c in enumerate(kidney.calyces)} | {"": -1}
+    calyx = np.array([index[row["calyx"]] for row in rows], np.int64)
+    features = load_features(folder / "features.safetensors")
+    settings = settings_from_dict(description["features"])
+    return Vid(kidney, camera, settings, T, calyx, features, folder, description.get("calibration"))
+
+
+def view_rows(vid: Vid) -> list[dict[str, Any]]:
+    """Rows of `views.csv`."""
+    poses = pose_cells(vid.T_kidney_camera)
+    return [
+        {"view": i, "calyx": vid.calyx_name(int(c)), **pose}
+        for i, (c, pose) in enumerate(zip(vid.calyx, poses, strict=True))
+    ]
+
+
+def pose_cells(T: np.ndarray) -> list[dict[str, float]]:
+    """The seven pose columns of transforms (N, 4, 4)."""
+    values = np.concatenate([T[:, :3, 3], quaternion_from_transform(T)], axis=1)
+    return [dict(zip(POSE_COLUMNS, row, strict=True)) for row in values.tolist()]
+
+
+def poses_from_rows(rows: list[dict[str, str]], path: Path) -> np.ndarray:
+    """Transforms (N, 4, 4) from CSV rows with the seven pose columns.
+
+    Raises:
+        InputError: a cell is not a number; the message names its line.
+    """
+    values = np.array([[number(row, c, path, i + 2) for c in POSE_COLUMNS] for i, row in enumerate(rows)])
+    return transform_from_quaternion(values[:, :3], values[:, 3:])
+
+
+def package_version() -> str:
+    """The installed version, "0" in a bare checkout."""
+    try:
+        return version("ursnav-torch")
+    except PackageNotFoundError:
+        return "0"
+
+
+def _read_description(folder: Path) -> dict[str, Any]:
+    if not folder.exists():
+        raise InputError(
+            f"There is no VID folder {folder}; build one with python -m ursnav_torch.build_vid out={folder}."
+        )
+    path = folder / "vid.json"
+    if folder.name.endswith(".partial") or (folder.is_dir() and not path.exists()):
+        raise InputError(
+            f"{folder} is not a finished VID (it has no vid.json): call build_vid again as before, and it goes on "
+            "from where it stopped."
+        )
+    try:
+        description = json.loads(path.read_text(encoding="utf-8"))
+        format_, files = description["format"], description["sha256"]
+        whole = description["checksum"] == _checksum(description)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path} is not the description of a VID ({type(error).__name__}: {error}).") from None
+    if format_ != FORMAT:
+        raise InputError(f"{folder} has VID format {format_}, this version reads {FORMAT}; build it again.")
+    if not whole:
+        raise InputError(
+            f"{path} was changed after the VID was built, so it no longer fits its features; build it again."
+        )
+    for name in _FILES:
+        if not (folder / name).exists():
+            raise InputError(f"The VID {folder} lacks {name}; copy it again or build it again.")
+        if name != "features.safetensors" and _sha256(folder / name) != files[name]:
+            raise InputError(f"{folder / name} was changed after the VID was built; build the VID again.")
+    return dict(description)
+
+
+def _load_kidney(folder: Path, description: dict[str, Any]) -> Kidney:
+    calyces, pelvis = read_calyces(folder / "calyces.csv")
+    try:
+        mesh = trimesh.load_mesh(folder / "kidney.stl")
+        centerline = read_centerline(folder / "centerline.csv", [c.name for c in calyces])
+    except (ValueError, KeyError, IndexError) as error:
+        if isinstance(error, UrsnavError):
+            raise
+        raise InputError(f"The kidney of the VID {folder} cannot be read: {error}.") from None
+    if pelvis is None:
+        pelvis = centerline.points_mm[0]
+    about = description["kidney"]
+    return Kidney(mesh, calyces, centerline, pelvis, float(about["scale"]), str(about["source"]))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _checksum(description: dict[str, Any]) -> str:
+    content = {key: value for key, value in description.items() if key != "checksum"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
