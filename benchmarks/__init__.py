@@ -1,0 +1,1 @@
+"""Suites that measure this package beside its rivals: ``python -m benchmarks.<suite>``."""
