@@ -116,6 +116,38 @@ class Matcher:
         distances = self._reduce(queries, shares)
         return distances.amin(0).clamp_min_(0.0)
 
+    def distances_at_rolls(
+        self, points: Tensor, views: Tensor, rolls: Tensor, step: float, direction: Tensor | None = None
+    ) -> Tensor:
+        """Distance of a query to chosen views, turned for each by a roll of its own.
+
+        Args:
+            points: (Pq, 2) px.
+            views: (K,) int64.
+            rolls: (K,) radians, x towards y, rounded to multiples of `step`; `settings.roll_deg` plays no part.
+            step: radians; a query is prepared once a step that occurs.
+            direction: (Pq,) edge direction in radians, as the database's.
+
+        Returns:
+            (K,) float32, lower is nearer; inf for views without points, for all if the query has none.
+        """
+        points, direction, _ = compress(points, direction, None, None)
+        shares, out = _shares(points, None), torch.full((len(views),), math.inf)
+        if shares is None:
+            return out
+        method = self.settings.method
+        turns = (rolls / step).round().long()
+        for turn_number in turns.unique().tolist():
+            at = (turns == turn_number).nonzero().flatten()
+            p, d = turn(points, direction, turn_number * step, self._roll_center)
+            if isinstance(method, OpenCV):
+                out[at] = method.distances(p, self.points[views[at]], self.mask[views[at]])
+                continue
+            query = self.views.query(p, d, None)
+            mask = self.mask[views[at]]
+            out[at] = method.reduce(self.views.costs_of(query, views[at]), mask, shares).clamp_min(0.0)
+        return out.masked_fill_(self._empty[views], math.inf)
+
     def match(
         self,
         points: Tensor,

@@ -1,0 +1,87 @@
+"""How sure: a calibrated probability that the calyx is right, learned when the VID is built."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from torch import Tensor
+
+Array = NDArray[np.float64]
+
+#: Width of the vote among near-best views: distances this much apart count 1 to e.
+VOTE_WIDTH = 0.012
+#: Used for a VID without calibration: intercept and one weight a number of `Evidence.numbers`.
+UNCALIBRATED = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a ranking says about the calyx.
+
+    Attributes:
+        calyx: index with the most votes, -1 for none.
+        distance: of its best view.
+        margin: how much farther the best view of any other calyx is.
+        vote: share of the votes, each near-best view voting with exp(-distance / VOTE_WIDTH).
+    """
+
+    calyx: int
+    distance: float
+    margin: float
+    vote: float
+
+    def numbers(self) -> Array:
+        """(3,) the numbers that confidence is computed from: distance, margin, log-odds of the vote."""
+        vote = min(max(self.vote, 1e-4), 1 - 1e-4)
+        return np.array([self.distance, min(self.margin, 0.15), math.log(vote / (1 - vote))])
+
+
+def evidence(distance: Tensor, calyx: Tensor) -> Evidence:
+    """`Evidence` of views with distances (K,) ascending that observe calyces (K,)."""
+    weight = torch.exp(-(distance - distance[0]) / VOTE_WIDTH)
+    names, row = calyx.unique(return_inverse=True)
+    votes = torch.zeros(len(names)).index_add_(0, row, weight)
+    best = int(votes.argmax())
+    own, other = distance[row == best], distance[row != best]
+    margin = float(other[0] - own[0]) if len(other) else 1.0
+    return Evidence(int(names[best]), float(own[0]), margin, float(votes[best] / votes.sum()))
+
+
+@dataclass(frozen=True, slots=True)
+class Confidence:
+    """Logistic regression on the evidence (Platt 1999).
+
+    Attributes:
+        weights: intercept, then one a number of `Evidence.numbers`.
+    """
+
+    weights: tuple[float, ...] = UNCALIBRATED
+
+    @classmethod
+    def from_calibration(cls, calibration: Mapping[str, object] | None) -> "Confidence":
+        """From what the VID stored; a plain vote for a VID without calibration."""
+        weights = (calibration or {}).get("confidence")
+        return cls(tuple(float(w) for w in weights)) if isinstance(weights, Sequence) else cls()
+
+    def probability(self, seen: Evidence) -> float:
+        """Probability in 0..1 that the evidence's calyx is right."""
+        z = self.weights[0] + float(np.dot(self.weights[1:], seen.numbers()))
+        return 1 / (1 + math.exp(-max(min(z, 30.0), -30.0)))
+
+
+def fit(numbers: Array, right: NDArray[np.bool_]) -> Confidence:
+    """Fit to evidence numbers (N, 3) and whether each answer was right (N,); lightly regularized."""
+    center, spread = numbers.mean(0), numbers.std(0) + 1e-6
+    x = np.column_stack([np.ones(len(numbers)), (numbers - center) / spread])
+    sign = np.where(right, 1.0, -1.0)
+
+    def loss(w: Array) -> float:
+        return float(np.logaddexp(0, -sign * (x @ w)).sum() + 0.5 * (w[1:] ** 2).sum())
+
+    w = minimize(loss, np.zeros(x.shape[1]), method="BFGS").x
+    slope = w[1:] / spread
+    return Confidence((float(w[0] - slope @ center), *slope.tolist()))

@@ -1,0 +1,210 @@
+"""From one picture to a place: scan at every roll, compare shapes, weigh, decide."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import Features
+from ursnav_torch.geometry import transform_from
+from ursnav_torch.localization.confidence import Confidence, evidence
+from ursnav_torch.localization.scan import RollScan
+from ursnav_torch.localization.shape import ShapeStage
+from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+
+
+def default_matching() -> Matching:
+    """Shape contexts of 40 px reach with position and edge direction in the cost, query to view."""
+    return Matching(
+        ShapeContext(r_inner=5.0, r_outer=40.0, scale=1.0),
+        PairCost(position_weight=1.0, direction_weight=1.0),
+        Nearest(sides="query_to_view"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LocalizationSettings:
+    """How a picture's place is decided.
+
+    The distance of a view is a weighted mean of up to three: 1 - correlation of the relief, 1 - correlation of the
+    edge directions, and the shape distance of the edge points.
+
+    Attributes:
+        relief_weight: weight of the relief's correlation; 0 compares no intensities at all.
+        direction_weight: weight of the edge directions' correlation, shared by its channels.
+        shape_weight: weight of the shape distance.
+        candidates: views that the scan passes on to shape matching.
+        keep: candidates named in the answer.
+        accept: a confidence below this is "unsure".
+    """
+
+    relief_weight: float = 1.0
+    direction_weight: float = 2.0
+    shape_weight: float = 3.0
+    candidates: int = 64
+    keep: int = 5
+    accept: float = 0.7
+
+    def __post_init__(self) -> None:
+        weights = (self.relief_weight, self.direction_weight, self.shape_weight)
+        if min(weights) < 0 or sum(weights) <= 0:
+            raise InputError(f"Weights of relief, direction and shape must be >= 0 and not all 0, got {weights}.")
+        if not 1 <= self.keep <= self.candidates or not 0 <= self.accept <= 1:
+            raise InputError(
+                f"Expected 1 <= keep <= candidates and 0 <= accept <= 1, got keep={self.keep}, "
+                f"candidates={self.candidates}, accept={self.accept}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One view that fits.
+
+    Attributes:
+        view: index into the VID.
+        distance: lower is nearer, 0 is a perfect fit.
+        T_kidney_camera: (4, 4), the view's pose turned by the roll found.
+    """
+
+    view: int
+    distance: float
+    T_kidney_camera: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """Where a picture was taken.
+
+    Attributes:
+        calyx: index of the calyx observed, -1 for none (pelvis, infundibulum).
+        calyx_name: its name, blank for none.
+        T_kidney_camera: (4, 4).
+        view: the best view.
+        distance: its distance.
+        confidence: calibrated probability that ``calyx`` is right.
+        accepted: false when the system would rather say "unsure".
+        candidates: the best views, best first.
+        features: what was seen in the picture.
+        seconds: from picture to pose.
+    """
+
+    calyx: int
+    calyx_name: str
+    T_kidney_camera: Array
+    view: int
+    distance: float
+    confidence: float
+    accepted: bool
+    candidates: tuple[Candidate, ...]
+    features: Features
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """Distances of a picture to the VID.
+
+    Attributes:
+        views: (K,) views compared, best first.
+        distance: (K,) ascending.
+        roll: (K,) radians.
+    """
+
+    views: Tensor
+    distance: Tensor
+    roll: Tensor
+
+
+class Localizer:
+    """Locates pictures in one VID.
+
+    Args:
+        vid: the views.
+        matching: how shapes are compared; `default_matching` when None.
+        settings: how the comparison is weighed.
+
+    Example:
+        >>> un.Localizer(un.load_vid("my_vid")).locate(image).calyx_name  # doctest: +SKIP
+        'C'
+    """
+
+    def __init__(
+        self, vid: Vid, matching: Matching | None = None, settings: LocalizationSettings | None = None
+    ) -> None:
+        self.vid, self.settings = vid, settings or LocalizationSettings()
+        self._extractor = vid.extractor()
+        self._shape = ShapeStage(vid.features, vid.camera, matching or default_matching())
+        self._calyx = torch.from_numpy(vid.calyx)
+        self._confidence = Confidence.from_calibration(vid.calibration)
+        s, channels = self.settings, vid.features.maps.shape[1]
+        self._scan: RollScan | None = None
+        if channels and s.relief_weight + s.direction_weight > 0:
+            weight = torch.full((channels,), s.direction_weight * 2 / max(channels - 1, 1))
+            weight[0] = s.relief_weight
+            self._scan = RollScan(vid.features.maps, weight)
+
+    def locate(self, image: NDArray[np.uint8]) -> Location:
+        """The place of a picture (H, W) or (H, W, 3) blue, green, red, uint8, taken through the VID's lens.
+
+        Raises:
+            InputError: the picture cannot be of this lens.
+            FeatureError: it shows too little to be matched.
+        """
+        start = time.perf_counter()
+        with torch.inference_mode():
+            features = self._extractor.extract(image)
+            ranking = self.rank(features)
+            seen = evidence(ranking.distance, self._calyx[ranking.views])
+        confidence = self._confidence.probability(seen)
+        candidates = tuple(self._candidate(ranking, i) for i in self._best(ranking, seen.calyx))
+        best = candidates[0]
+        return Location(
+            seen.calyx,
+            self.vid.calyx_name(seen.calyx),
+            best.T_kidney_camera,
+            best.view,
+            best.distance,
+            confidence,
+            confidence >= self.settings.accept,
+            candidates,
+            features,
+            time.perf_counter() - start,
+        )
+
+    def rank(self, features: Features) -> Ranking:
+        """The VID's nearest views to a picture's features."""
+        s = self.settings
+        if self._scan is None or not features.maps.numel():
+            distance = self._shape.everywhere(features.edges)
+            views = distance.topk(min(s.candidates, len(distance)), largest=False).indices
+            return Ranking(views, distance[views], torch.zeros(len(views)))
+        scan = self._scan.scan(features.maps)
+        views = scan.score.topk(min(s.candidates, len(scan.score))).indices
+        maps_weight = s.relief_weight + s.direction_weight
+        distance = maps_weight - scan.score[views]
+        if s.shape_weight > 0:
+            distance = distance + s.shape_weight * self._shape.at_rolls(features.edges, views, scan.roll[views])
+        distance, order = (distance / (maps_weight + s.shape_weight)).sort()
+        return Ranking(views[order], distance, scan.roll[views][order])
+
+    def _best(self, ranking: Ranking, calyx: int) -> list[int]:
+        """Rows of the ranking to name: first the best of the calyx decided on, then the best of all."""
+        first = int((self._calyx[ranking.views] == calyx).nonzero()[0])
+        return [first, *[i for i in range(len(ranking.views)) if i != first]][: self.settings.keep]
+
+    def _candidate(self, ranking: Ranking, row: int) -> Candidate:
+        view, roll = int(ranking.views[row]), float(ranking.roll[row])
+        return Candidate(view, float(ranking.distance[row]), self.vid.T_kidney_camera[view] @ rolled(roll))
+
+
+def rolled(roll: float) -> Array:
+    """Transform (4, 4) of a camera turned by ``roll`` radians about its optical axis, x towards y."""
+    c, s = np.cos(roll), np.sin(roll)
+    return transform_from([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], np.zeros(3))
