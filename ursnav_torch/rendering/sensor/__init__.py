@@ -1,0 +1,33 @@
+"""What spoils a scope's picture: simulated light, wall, water, lens and sensor faults between a view and a picture."""
+
+from ursnav_torch.rendering.sensor.electronics import ElectronicsFaults
+from ursnav_torch.rendering.sensor.light import LightFaults
+from ursnav_torch.rendering.sensor.occluders import OccluderFaults
+from ursnav_torch.rendering.sensor.optics import OpticsFaults
+from ursnav_torch.rendering.sensor.presets import (
+    PRESETS,
+    draw_faults,
+    in_vivo_like,
+    severity,
+    thesis_phantom,
+    thesis_simulation,
+)  # fmt: skip
+from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate, simulate_view
+from ursnav_torch.rendering.sensor.wall import WallFaults
+
+__all__ = [
+    "PRESETS",
+    "ElectronicsFaults",
+    "LightFaults",
+    "OccluderFaults",
+    "OpticsFaults",
+    "SensorFaults",
+    "WallFaults",
+    "draw_faults",
+    "in_vivo_like",
+    "severity",
+    "simulate",
+    "simulate_view",
+    "thesis_phantom",
+    "thesis_simulation",
+]
