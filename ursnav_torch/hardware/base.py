@@ -39,7 +39,7 @@ class Stamper:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A picture: ``image`` uint8 (H, W) gray or (H, W, 3) RGB.
+    """A picture: ``image`` uint8 (H, W) gray or (H, W, 3) in OpenCV's order blue, green, red.
 
     ``encoded`` holds the camera's own compressed bytes where it gave any, ``suffix`` their file type
     (``jpg``, ``png``); a recorder keeps them as they are. ``source`` is the file a picture came from.

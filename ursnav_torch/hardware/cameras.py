@@ -71,7 +71,7 @@ class OpenCvCamera(LensCamera):
         calibration: str | Path | None = None,
         stall_s: float = 1.0,
         connect_s: float = 5.0,
-        capture: Callable[[int | str], cv2.VideoCapture] = cv2.VideoCapture,
+        capture: Callable[..., cv2.VideoCapture] = cv2.VideoCapture,
     ) -> None:
         super().__init__(calibration)
         self.source, self.stall_s, self.connect_s, self.reopened = source, stall_s, connect_s, 0
@@ -83,7 +83,7 @@ class OpenCvCamera(LensCamera):
         self._first: Image | None = None
 
     def read(self, timeout_s: float = 1.0) -> Frame:
-        """Wait for the next picture, RGB; raises as `Camera.read` does."""
+        """Wait for the next picture; raises as `Camera.read` does."""
         self._check_connected()
         if self._first is not None:
             image, self._first = self._first, None
@@ -125,7 +125,7 @@ class OpenCvCamera(LensCamera):
                 with contextlib.suppress(queue.Empty):
                     if frames.full():  # nobody reads: the newest pictures matter
                         frames.get_nowait()
-                frames.put(_to_rgb(image))
+                frames.put(image)
         finally:
             capture.release()
 
@@ -178,7 +178,7 @@ class _PlayedCamera(LensCamera):
 
 
 class FolderCamera(_PlayedCamera):
-    """The pictures of a folder in natural name order, gray or RGB as they are; their files' bytes are passed on.
+    """The pictures of a folder in natural name order, gray or color as they are; their files' bytes are passed on.
 
     Raises:
         InputError: there is no picture in the folder.
@@ -205,7 +205,7 @@ class FolderCamera(_PlayedCamera):
 
 
 class VideoCamera(_PlayedCamera):
-    """The pictures of a video file, RGB.
+    """The pictures of a video file.
 
     Args:
         path: the file.
@@ -233,7 +233,7 @@ class VideoCamera(_PlayedCamera):
         try:
             number = 0
             while (got := capture.read())[0]:
-                image = _to_rgb(got[1])
+                image = got[1]
                 self._check_size(image)
                 yield image, None, "png", str(number)
                 number += 1
@@ -242,7 +242,7 @@ class VideoCamera(_PlayedCamera):
 
 
 def decode_image(encoded: bytes, where: str) -> Image:
-    """The picture in a file's bytes, uint8 (H, W) or (H, W, 3) RGB as it was stored.
+    """The picture in a file's bytes, uint8 (H, W) or (H, W, 3) in OpenCV's order; 16 bits are scaled by its maximum.
 
     Raises:
         InputError: the bytes are no picture; ``where`` names them.
@@ -251,12 +251,8 @@ def decode_image(encoded: bytes, where: str) -> Image:
     if image is None:
         raise InputError(f"{where} is not a picture that can be read.")
     if image.dtype != np.uint8:
-        image = cv2.convertScaleAbs(image, alpha=255.0 / np.iinfo(image.dtype).max)
-    return image if image.ndim == 2 else _to_rgb(image[..., :3])
-
-
-def _to_rgb(image: Image) -> Image:
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+        image = cv2.convertScaleAbs(image, alpha=255.0 / max(float(image.max()), 1.0))
+    return image if image.ndim == 2 else np.ascontiguousarray(image[..., :3])
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

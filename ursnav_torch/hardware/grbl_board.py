@@ -5,6 +5,7 @@ within its settings, and forgets nothing when its host dies.
 """
 
 import itertools
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -47,6 +48,7 @@ class GrblBoard:
         self.settings: dict[int, float] = dict(SETTINGS)
         self.spindle = 0
         self.answering = True
+        self._lock = threading.RLock()
         self._clock, self._now = clock, clock()
         self._position = np.zeros(3)
         self._blocks: deque[Block] = deque()
@@ -70,34 +72,38 @@ class GrblBoard:
 
     def axes_mm(self) -> Array:
         """Where the axes are now, (3,) mm."""
-        self.advance()
-        return self._position.copy()
+        with self._lock:
+            self.advance()
+            return self._position.copy()
 
     def power_cycle(self) -> bytes:
         """Lose power and come back: everything but the place of the motors is forgotten."""
-        self.advance()
-        self._blocks.clear()
-        self._waiting.clear()
-        self._position, self._speed, self._state, self.spindle = np.zeros(3), 0.0, "Idle", 0
-        return BANNER
+        with self._lock:
+            self.advance()
+            self._blocks.clear()
+            self._waiting.clear()
+            self._position, self._speed, self._state, self.spindle = np.zeros(3), 0.0, "Idle", 0
+            return BANNER
 
     def handle(self, data: bytes) -> bytes:
         """Bytes from the host in, the board's answer out."""
-        self.advance()
-        if not self.answering:
-            return b""
-        answer = b"".join(self._byte(value) for value in data)
-        return answer + self._run_waiting()
+        with self._lock:
+            self.advance()
+            if not self.answering:
+                return b""
+            answer = b"".join(self._byte(value) for value in data)
+            return answer + self._run_waiting()
 
     def advance(self) -> None:
         """Let the motors run until now."""
-        now = self._clock()
-        while self._blocks and self._now < now:
-            self._tick(min(TICK_S, now - self._now))
-            self._now = min(now, self._now + TICK_S)
-        self._now = now
-        if not self._blocks:
-            self._come_to_rest()
+        with self._lock:
+            now = self._clock()
+            while self._blocks and self._now < now:
+                self._tick(min(TICK_S, now - self._now))
+                self._now = min(now, self._now + TICK_S)
+            self._now = now
+            if not self._blocks:
+                self._come_to_rest()
 
     def _come_to_rest(self) -> None:
         self._speed, self._cancelling = 0.0, False

@@ -1,6 +1,7 @@
 """A simulated Arduino that runs the thesis's motors and LED under rosserial."""
 
 import struct
+import threading
 import time
 from collections.abc import Callable
 
@@ -49,6 +50,7 @@ class RosserialBoard:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.light = 0.0
         self.answering = True
+        self._lock = threading.RLock()
         self._clock, self._now = clock, clock()
         self._decoder = Decoder()
         self._numbers = {name: FIRST_USER_TOPIC + n for n, (_, name, _) in enumerate(TOPICS)}
@@ -67,32 +69,36 @@ class RosserialBoard:
 
     def steps(self) -> Array:
         """Where the motors x, y, z are now, (3,) steps."""
-        self.advance()
-        return self._steps.copy()
+        with self._lock:
+            self.advance()
+            return self._steps.copy()
 
     def restart(self) -> bytes:
         """Start anew, as after a brown-out: announces its topics without being asked."""
-        self.advance()
-        self._steps, self._velocity = np.zeros(3), np.zeros(3)
-        return b"booting\r\n" + self._announce()
+        with self._lock:
+            self.advance()
+            self._steps, self._velocity = np.zeros(3), np.zeros(3)
+            return b"booting\r\n" + self._announce()
 
     def handle(self, data: bytes) -> bytes:
         """Bytes from the host in, the board's answer out."""
-        self.advance()
-        if not self.answering:
-            return b""
-        try:
-            packets = self._decoder.feed(data)
-        except DeviceProtocolError:  # the real board drops a broken packet, too
-            packets = []
-        return b"".join(self._packet(packet) for packet in packets) + self._report()
+        with self._lock:
+            self.advance()
+            if not self.answering:
+                return b""
+            try:
+                packets = self._decoder.feed(data)
+            except DeviceProtocolError:  # the real board drops a broken packet, too
+                packets = []
+            return b"".join(self._packet(packet) for packet in packets) + self._report()
 
     def advance(self) -> None:
         """Let the motors run until now."""
-        now = self._clock()
-        running = np.clip(np.minimum(self._until_s, now) - self._now, 0.0, None)
-        self._steps = self._steps + self._velocity * running
-        self._now = now
+        with self._lock:
+            now = self._clock()
+            running = np.clip(np.minimum(self._until_s, now) - self._now, 0.0, None)
+            self._steps = self._steps + self._velocity * running
+            self._now = now
 
     def _is_moving(self) -> np.ndarray:
         return (self._until_s > self._now) & (self._velocity != 0)

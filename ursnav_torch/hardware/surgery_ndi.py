@@ -1,4 +1,4 @@
-"""NDI trackers through scikit-surgerynditracker (extra ``ndi``): Vega over the network, Polaris with tool files, Aurora.
+"""NDI trackers through scikit-surgerynditracker (extra ``ndi``): Vega by network, Polaris with tool files, Aurora.
 
 The package holds Python's lock while it waits for the unit, and its reads have no deadline. It therefore runs in a
 process of its own (this file, run as a module) that prints one JSON line a frame.
