@@ -2,6 +2,6 @@
 
 from ursnav_torch.rendering.base import Renderer, View
 from ursnav_torch.rendering.light import FlatLight, HeadLight, Light
-from ursnav_torch.rendering.raycast import RaycastRenderer
+from ursnav_torch.rendering.raycast import RaycastRenderer, RayScene
 
-__all__ = ["FlatLight", "HeadLight", "Light", "RaycastRenderer", "Renderer", "View"]
+__all__ = ["FlatLight", "HeadLight", "Light", "RayScene", "RaycastRenderer", "Renderer", "View"]

@@ -11,42 +11,18 @@ from ursnav_torch.rendering.base import View
 from ursnav_torch.rendering.light import HeadLight, Light
 
 
-class RaycastRenderer:
-    """Casts one ray a pixel against the lumen's triangles; normals are interpolated over each triangle.
+class RayScene:
+    """A mesh that rays can be cast at; normals are interpolated over each triangle.
 
     Args:
         mesh: the lumen in the kidney frame, mm, normals outward.
-        camera: the lens.
-        light: how walls become gray values; a `HeadLight` at the camera by default.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh, camera: Camera, light: Light | None = None) -> None:
-        self.camera = camera
-        self.light: Light = light or HeadLight()
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
         self._normals = np.asarray(mesh.vertex_normals, np.float32)
         self._faces = np.asarray(mesh.faces)
-        self._triangles = np.asarray(mesh.triangles, np.float32)
         self._scene = rtcore_scene.EmbreeScene()
-        TriangleMesh(self._scene, self._triangles)
-        rays, self._mask = camera.pixel_rays()
-        self._rays_camera = rays[self._mask].astype(np.float32)
-
-    def render(self, T_kidney_camera: NDArray[np.float64]) -> View:
-        """The view from one pose (4, 4)."""
-        R, t = T_kidney_camera[:3, :3].astype(np.float32), T_kidney_camera[:3, 3]
-        depth, normals_kidney = self.cast(t, self._rays_camera @ R.T)
-        hit = np.isfinite(depth)
-        normals_camera = -normals_kidney @ R  # the mesh's normals leave the lumen; a view's point at the camera
-        gray = np.zeros(len(depth))
-        gray[hit] = self.light.shade(self._rays_camera[hit] * depth[hit, None], normals_camera[hit])
-        shape = self._mask.shape
-        image = np.zeros(shape, np.uint8)
-        image[self._mask] = np.round(255 * gray).astype(np.uint8)
-        depth_mm = np.full(shape, np.nan, np.float32)
-        depth_mm[self._mask] = depth
-        normals = np.zeros((*shape, 3), np.float32)
-        normals[self._mask] = normals_camera
-        return View(image, depth_mm, normals)
+        TriangleMesh(self._scene, np.asarray(mesh.triangles, np.float32))
 
     def cast(self, origins_mm: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Distances (N,) in mm along unit ``directions`` (N, 3) from ``origins_mm`` (N, 3) or (3,), inf without a
@@ -64,3 +40,37 @@ class RaycastRenderer:
         smooth = (1 - u - v) * corner[:, 0] + u * corner[:, 1] + v * corner[:, 2]
         normals[wall] = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
         return depth, normals
+
+
+class RaycastRenderer:
+    """Casts one ray a pixel against the lumen's triangles.
+
+    Args:
+        mesh: the lumen in the kidney frame, mm, normals outward.
+        camera: the lens.
+        light: how walls become gray values; a `HeadLight` at the camera by default.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh, camera: Camera, light: Light | None = None) -> None:
+        self.camera = camera
+        self.light: Light = light or HeadLight()
+        self.scene = RayScene(mesh)
+        rays, self._mask = camera.pixel_rays()
+        self._rays_camera = rays[self._mask].astype(np.float32)
+
+    def render(self, T_kidney_camera: NDArray[np.float64]) -> View:
+        """The view from one pose (4, 4)."""
+        R, t = T_kidney_camera[:3, :3].astype(np.float32), T_kidney_camera[:3, 3]
+        depth, normals_kidney = self.scene.cast(t, self._rays_camera @ R.T)
+        hit = np.isfinite(depth)
+        normals_camera = -normals_kidney @ R  # the mesh's normals leave the lumen; a view's point at the camera
+        gray = np.zeros(len(depth))
+        gray[hit] = self.light.shade(self._rays_camera[hit] * depth[hit, None], normals_camera[hit])
+        shape = self._mask.shape
+        image = np.zeros(shape, np.uint8)
+        image[self._mask] = np.round(255 * gray).astype(np.uint8)
+        depth_mm = np.full(shape, np.nan, np.float32)
+        depth_mm[self._mask] = depth
+        normals = np.zeros((*shape, 3), np.float32)
+        normals[self._mask] = normals_camera
+        return View(image, depth_mm, normals)
