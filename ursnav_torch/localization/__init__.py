@@ -8,5 +8,6 @@ from ursnav_torch.localization.locate import (
     default_matching,
     rolled,
 )
+from ursnav_torch.localization.matches import MATCH_COLUMNS, find_images, locate_files, match_row
 
-__all__ = ["Candidate", "LocalizationSettings", "Localizer", "Location", "default_matching", "rolled"]
+__all__ = ["MATCH_COLUMNS", "Candidate", "LocalizationSettings", "Localizer", "Location", "default_matching", "find_images", "locate_files", "match_row", "rolled"]

@@ -4,9 +4,10 @@ from ursnav_torch.vid.base import Vid, ViewFeatures
 from ursnav_torch.vid.build import build_vid
 from ursnav_torch.vid.draw import Studio, pack
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
-from ursnav_torch.vid.store import load_vid, save_vid
+from ursnav_torch.vid.store import POSE_COLUMNS, load_vid, pose_cells, poses_from_rows, save_vid
 
 __all__ = [
+    "POSE_COLUMNS",
     "Plan",
     "PlanSettings",
     "Studio",
@@ -16,5 +17,7 @@ __all__ = [
     "load_vid",
     "pack",
     "plan_views",
+    "pose_cells",
+    "poses_from_rows",
     "save_vid",
 ]
