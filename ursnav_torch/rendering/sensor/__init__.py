@@ -2,6 +2,7 @@
 
 from ursnav_torch.rendering.sensor.electronics import ElectronicsFaults
 from ursnav_torch.rendering.sensor.light import LightFaults
+from ursnav_torch.rendering.sensor.no_calyx import NO_CALYX_KINDS, none_pictures, pressed_pose
 from ursnav_torch.rendering.sensor.occluders import OccluderFaults
 from ursnav_torch.rendering.sensor.optics import OpticsFaults
 from ursnav_torch.rendering.sensor.presets import (
@@ -16,6 +17,7 @@ from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate, simul
 from ursnav_torch.rendering.sensor.wall import WallFaults
 
 __all__ = [
+    "NO_CALYX_KINDS",
     "PRESETS",
     "ElectronicsFaults",
     "LightFaults",
@@ -25,6 +27,8 @@ __all__ = [
     "WallFaults",
     "draw_faults",
     "in_vivo_like",
+    "none_pictures",
+    "pressed_pose",
     "severity",
     "simulate",
     "simulate_view",

@@ -61,8 +61,8 @@ def _sampled(cells: Floats, volume: torch.Tensor) -> NDArray[np.float32]:
 def _volume() -> torch.Tensor:
     """(1, 4, D, H, W): periodic noise of unit variance and its gradient per cell along x (W), y (H), z (D)."""
     white = np.random.default_rng(_VOLUME_SEED).standard_normal((_CELLS,) * 3)
-    value = gaussian_filter(white, 1.2, mode="wrap")
-    value = (value - value.mean()) / value.std()
-    slopes = [(np.roll(value, -1, axis) - np.roll(value, 1, axis)) / 2 for axis in (2, 1, 0)]
-    volume = np.pad(np.stack([value, *slopes]), ((0, 0), (0, 1), (0, 1), (0, 1)), mode="wrap")
+    orders = [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0)]
+    fields = np.stack([gaussian_filter(white, 1.2, order=order, mode="wrap") for order in orders])
+    fields[0] -= fields[0].mean()
+    volume = np.pad(fields / fields[0].std(), ((0, 0), (0, 1), (0, 1), (0, 1)), mode="wrap")
     return torch.from_numpy(volume.astype(np.float32))[None]

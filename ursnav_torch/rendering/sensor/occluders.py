@@ -19,7 +19,7 @@ class OccluderFaults:
 
     debris: int = setting(0, 0, 40, "floating specks: stone dust, cells, clots; bright where near the light, else dark")
     debris_px: float = choice(2.0, "radius of a large speck; 0.7-6 px")
-    bubbles: int = setting(0, 0, 15, "air bubbles, seen as bright rings with a glint")
+    bubbles: int = setting(0, 0, 40, "air bubbles, seen as bright rings with a glint")
     bubble_px: float = choice(5.0, "radius of a large bubble; 2-20 px")
     blood: float = setting(0.0, 0, 0.8, "share of light that drifting blood takes, in clouds")
     fiber: float = setting(0.0, 0, 1, "how far a laser fiber or guidewire reaches from the rim (0) to the center (1)")

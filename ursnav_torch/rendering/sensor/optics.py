@@ -5,6 +5,7 @@ Lengths in px are those of a picture 250 px wide (the thesis's camera) and grow 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -63,7 +64,8 @@ def through_lens(picture: Floats, mask: Mask, camera: Camera, faults: OpticsFaul
     picture = _stray_light(picture, mask, camera, faults, unit)
     x, y, radius = image_circle(camera)
     if faults.vignetting > 0:
-        picture = picture * (1 - np.float32(faults.vignetting) * np.square((x * x + y * y) / radius**2))[..., None]
+        loss = np.float32(faults.vignetting) * np.square((x * x + y * y) / np.float32(radius**2))
+        picture = np.asarray(picture * (1 - loss)[..., None], np.float32)
     if faults.stripes > 0:
         picture = picture + _stripes(x, y, unit, faults, rng)[..., None]
     return picture
@@ -72,8 +74,8 @@ def through_lens(picture: Floats, mask: Mask, camera: Camera, faults: OpticsFaul
 def _stray_light(picture: Floats, mask: Mask, camera: Camera, faults: OpticsFaults, unit: float) -> Floats:
     """Bloom, veil and halo."""
     if faults.bloom > 0:
-        share = np.float32(faults.bloom)
-        picture = (picture + share * _wide_blur(picture, 12 * unit)) / (1 + share)
+        bloomed = picture + np.float32(faults.bloom) * _wide_blur(picture, 12 * unit)
+        picture = np.asarray(bloomed / (1 + faults.bloom), np.float32)
     if faults.veil > 0 and mask.any():
         share = np.float32(faults.veil)
         picture = picture * (1 - share) + share * picture[mask].mean()
@@ -111,7 +113,7 @@ def _filled_outside(picture: Floats, camera: Camera) -> Floats:
 def _blurred(picture: Floats, mask: Mask, blur: Callable[[Floats], Floats]) -> Floats:
     """Blur that takes nothing from the black outside of the image circle."""
     weight = np.maximum(blur(mask.astype(np.float32)), 1e-3)
-    return blur(picture * mask[..., None]) / weight[..., None]
+    return np.asarray(blur(picture * mask[..., None]) / weight[..., None], np.float32)
 
 
 def _motion_kernel(length_px: float, angle_rad: float) -> Floats:
@@ -130,10 +132,13 @@ def _wide_blur(picture: Floats, sigma_px: float) -> Floats:
     return cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma_px / 4), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
+@lru_cache(maxsize=8)
 def image_circle(camera: Camera) -> tuple[Floats, Floats, float]:
-    """Pixel coordinates (H, W) from the principal point, and the image circle's radius, in px."""
+    """Pixel coordinates x, y (H, W) from the principal point, and how far the picture reaches from it, in px."""
     v, u = np.indices((camera.height, camera.width), np.float32)
-    return u - np.float32(camera.cx), v - np.float32(camera.cy), min(camera.width, camera.height) / 2
+    x, y = u - np.float32(camera.cx), v - np.float32(camera.cy)
+    mask = lens_rays(camera)[1]
+    return x, y, float(np.hypot(x, y)[mask].max(initial=1.0))
 
 
 def _stripes(x: Floats, y: Floats, unit: float, faults: OpticsFaults, rng: np.random.Generator) -> Floats:

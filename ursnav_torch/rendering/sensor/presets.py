@@ -110,7 +110,7 @@ THESIS_PHANTOM: Preset = MappingProxyType({
     "electronics.balance_bgr": Color((0.92, 0.96, 0.92), (1.04, 1.04, 1.06)),
     "electronics.bayer": Span(1, 1, share=0.5),
     "electronics.shot_noise": Span(2.0, 12.0),
-    "electronics.read_noise": Span(3.0, 12.0),
+    "electronics.read_noise": Span(4.0, 13.0),
     "electronics.row_noise": Span(0.2, 1.5, share=0.5),
     "electronics.jpeg_quality": Span(65, 97),
 })  # fmt: skip
@@ -162,7 +162,7 @@ IN_VIVO_LIKE: Preset = MappingProxyType({
     "electronics.balance_bgr": Color((0.85, 0.95, 0.92), (1.1, 1.05, 1.08)),
     "electronics.bayer": Span(1, 1, share=0.5),
     "electronics.shot_noise": Span(1.0, 9.0),
-    "electronics.read_noise": Span(1.0, 7.0),
+    "electronics.read_noise": Span(2.0, 9.0),
     "electronics.jpeg_quality": Span(65, 97),
 })  # fmt: skip
 
