@@ -10,6 +10,7 @@ __all__ = [
     "FlatLight",
     "HeadLight",
     "Light",
+    "RayScene",
     "RaycastRenderer",
     "Renderer",
     "View",

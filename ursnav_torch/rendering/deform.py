@@ -107,8 +107,7 @@ def deform_mesh(mesh: trimesh.Trimesh, settings: WarpSettings, rng: np.random.Ge
 def local_radius(mesh: trimesh.Trimesh) -> Array:
     """(V,) mm: half the way across the lumen from each vertex, at most 15, averaged over the neighborhood."""
     vertices, inward = np.asarray(mesh.vertices), -np.asarray(mesh.vertex_normals)
-    caster = RayScene(mesh)
-    across, _ = caster.cast(vertices + 0.01 * inward, inward)
+    across, _ = RayScene(mesh).cast(vertices + 0.01 * inward, inward)
     radius = np.minimum(np.nan_to_num(across, posinf=0.0) / 2, _LARGEST_RADIUS_MM).astype(float)
     a, b = np.asarray(mesh.edges_unique).T
     ones = np.ones(len(a))
