@@ -143,6 +143,19 @@ class OperatorInput:
     emergency_stop: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth telling that is no sample; ``level`` is ``info``, ``warning`` or ``error``."""
+
+    stamp: Stamp
+    level: str
+    text: str
+
+
+class SourceAtEndError(DeviceNotConnectedError):
+    """A source that plays something has played all of it."""
+
+
 class Device(ABC):
     """Something that is connected, used and disconnected; a ``with`` block does the first and the last.
 
@@ -185,6 +198,10 @@ class Device(ABC):
         self._connected = False
         self._close()
 
+    def dispose(self) -> None:
+        """Disconnect for good, together with whatever a simulation holds open."""
+        self.disconnect()
+
     def stop(self) -> None:  # noqa: B027
         """End all motion; devices that move nothing have nothing to do."""
 
@@ -219,7 +236,8 @@ class Camera(Device):
 
         Raises:
             DeviceTimeoutError: none came within ``timeout_s``; reading may be tried again.
-            DeviceNotConnectedError: the camera is gone, or its pictures are at an end.
+            DeviceNotConnectedError: the camera is gone.
+            SourceAtEndError: pictures that are only played are at an end.
         """
 
 

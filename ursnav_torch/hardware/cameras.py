@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch import camera as lenses
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
-from ursnav_torch.hardware.base import Camera, Frame
+from ursnav_torch.hardware.base import Camera, Frame, SourceAtEndError
 
 logger = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -156,7 +156,7 @@ class _PlayedCamera(LensCamera):
         self._count, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> Frame:
-        """Wait for the next picture's time; raises as `Camera.read` does, DeviceNotConnectedError after the last."""
+        """Wait for the next picture's time; raises as `Camera.read` does."""
         self._check_connected()
         if self.fps:
             wait = self._start_s + self._count / self.fps - time.monotonic()
@@ -166,7 +166,7 @@ class _PlayedCamera(LensCamera):
         try:
             image, encoded, suffix, source = next(self._pictures)
         except StopIteration:
-            raise DeviceNotConnectedError(f"The pictures are at an end after {self._count}.") from None
+            raise SourceAtEndError(f"The pictures are at an end after {self._count}.") from None
         self._count += 1
         return Frame(self._stamp(), image, encoded, suffix, source)
 

@@ -3,9 +3,9 @@
 import time
 from pathlib import Path
 
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.files import number, read_csv
-from ursnav_torch.hardware.base import Tracker, TrackerSample, Vector3
+from ursnav_torch.hardware.base import SourceAtEndError, Tracker, TrackerSample, Vector3
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
 
@@ -36,10 +36,10 @@ class CsvTracker(Tracker):
         self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
-        """Wait for the next row's time; raises as `Tracker.read` does, DeviceNotConnectedError after the last row."""
+        """Wait for the next row's time; raises as `Tracker.read` does."""
         self._check_connected()
         if self._next >= len(self._poses):
-            raise DeviceNotConnectedError(f"{self.path} is at its end after {len(self._poses)} samples.")
+            raise SourceAtEndError(f"{self.path} is at its end after {len(self._poses)} samples.")
         if self.speed:
             due = self._start_s + (self._times[self._next] - self._times[0]) / self.speed
             wait = due - time.monotonic()

@@ -98,6 +98,11 @@ class SimulatedGrblRobot(GrblRobot):
         super().__init__(self.board_port.path, twin.scope.drive, **settings)
         twin.drive_with(self.board.axes_mm, lambda: self.board.light)
 
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.board_port.close()
+
 
 class SimulatedRosserialRobot(RosserialRobot):
     """The rosserial driver with a simulated board; takes the driver's other settings."""
@@ -109,6 +114,11 @@ class SimulatedRosserialRobot(RosserialRobot):
         steps_per_mm = np.array(twin.scope.drive.steps_per_mm)
         twin.drive_with(lambda: self.board.steps() / steps_per_mm, lambda: self.board.light)
 
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.board_port.close()
+
 
 class SimulatedNdiTracker(NdiTracker):
     """The NDI driver with a simulated unit; takes the driver's other settings."""
@@ -118,6 +128,11 @@ class SimulatedNdiTracker(NdiTracker):
         self.unit_port = SimulatedPort(self.unit, period_s=0.002)
         super().__init__(self.unit_port.path, rate_hz=rate_hz, **settings)
 
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.unit_port.close()
+
 
 class SimulatedOpenIgtlTracker(OpenIgtlTracker):
     """The OpenIGTLink driver with a simulated PLUS server; takes the driver's other settings."""
@@ -125,3 +140,8 @@ class SimulatedOpenIgtlTracker(OpenIgtlTracker):
     def __init__(self, twin: Twin, device: str = "ScopeToTracker", rate_hz: float = 40.0, **settings: Any) -> None:
         self.server = SimulatedIgtlTracker(twin.sensor, device, rate_hz)
         super().__init__(device, port=self.server.port, **settings)
+
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.server.close()

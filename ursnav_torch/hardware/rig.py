@@ -1,0 +1,211 @@
+"""The devices of one set-up, and the cycle that turns the operator's hands into motion and light."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from types import TracebackType
+from typing import Any, Self
+
+from ursnav_torch.errors import DeviceError, InputError
+from ursnav_torch.hardware.base import (
+    Camera,
+    CommandSample,
+    Device,
+    Gamepad,
+    JointRates,
+    Light,
+    LightSample,
+    Note,
+    OperatorInput,
+    RobotSample,
+    Stamper,
+    Tracker,
+)
+from ursnav_torch.hardware.robot import Robot
+from ursnav_torch.hardware.twin import Twin
+from ursnav_torch.kidney import Kidney
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A set-up; what it lacks is None. In a ``with`` block all of it is connected, and disconnected at the end."""
+
+    camera: Camera | None = None
+    tracker: Tracker | None = None
+    robot: Robot | None = None
+    light: Light | None = None
+    gamepad: Gamepad | None = None
+    twin: Twin | None = None
+
+    def devices(self) -> list[Device]:
+        """All devices, the robot first."""
+        found = (self.robot, self.light, self.gamepad, self.tracker, self.camera)
+        return [device for device in found if device is not None]
+
+    def __enter__(self) -> Self:
+        try:
+            for device in self.devices():
+                device.connect()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the robot, then disconnect everything for good, whatever state it is in."""
+        for device in self.devices():
+            device.stop()
+        for device in reversed(self.devices()):
+            with contextlib.suppress(DeviceError):
+                device.dispose()
+
+
+class RobotLight(Light):
+    """The LED on the robot's own controller; connected as long as the robot is.
+
+    Raises:
+        InputError: there is no robot.
+    """
+
+    def __init__(self, robot: Robot | None) -> None:
+        super().__init__()
+        if robot is None:
+            raise InputError("The light hangs on the robot's controller, but there is no robot; choose another light.")
+        self.robot = robot
+
+    def set_level(self, level: float) -> LightSample:
+        """Dim through the controller; motion may pause for it."""
+        self._check_connected()
+        return LightSample(self._stamp(), self.robot.set_light(level))
+
+    def _open(self) -> None:
+        self.robot.connect()
+
+    def _close(self) -> None: ...
+
+
+#: A device, or a function that makes one when given what only the whole rig knows: ``twin``, ``robot``, ``kidney``.
+Choice = Any
+
+
+def build_rig(
+    camera: Choice = None,
+    tracker: Choice = None,
+    robot: Choice = None,
+    light: Choice = None,
+    gamepad: Choice = None,
+    twin: Callable[..., Twin] | None = None,
+    kidney: Kidney | None = None,
+    draw: Callable[..., Any] | None = None,
+) -> Rig:
+    """Put a rig together.
+
+    Args:
+        camera, tracker, robot, light, gamepad: a device, None, or a ``functools.partial`` of a device's class that
+            still lacks ``twin``, ``robot`` or ``kidney`` and is given those of them that its name asks for.
+        twin: makes the digital twin from ``kidney`` and ``draw``; only when a device asks for it.
+        kidney: the anatomy in which the twin lives.
+        draw: picture of a camera at ``T_kidney_camera``.
+
+    Raises:
+        InputError: a simulated device is asked for where there is no twin.
+    """
+    wants_twin = any(isinstance(c, partial) and c.keywords.get("twin", "") is None for c in (camera, tracker, robot))
+    wants_twin = wants_twin or (isinstance(gamepad, partial) and gamepad.keywords.get("twin", "") is None)
+    made = None
+    if wants_twin:
+        if twin is None or kidney is None or draw is None:
+            raise InputError("A simulated device needs hardware.twin, a kidney and a renderer; choose them all.")
+        made = twin(kidney=kidney, draw=draw)
+
+    def make(choice: Choice, **known: Any) -> Any:
+        if not isinstance(choice, partial):
+            return choice
+        missing = {name: known[name] for name, value in choice.keywords.items() if value is None and name in known}
+        return choice(**missing)
+
+    the_robot = make(robot, twin=made)
+    return Rig(
+        make(camera, twin=made),
+        make(tracker, twin=made),
+        the_robot,
+        make(light, robot=the_robot, twin=made),
+        make(gamepad, twin=made, kidney=kidney),
+        made,
+    )
+
+
+class Control:
+    """One cycle of driving: hands in, motion and light out; call `step` 50 times a second.
+
+    Args:
+        robot: what moves; None drives nothing.
+        gamepad: what the operator holds.
+        light: what is dimmed, or None.
+        light_step: what one press of the light's buttons changes.
+    """
+
+    def __init__(
+        self, robot: Robot | None, gamepad: Gamepad, light: Light | None = None, light_step: float = 0.1
+    ) -> None:
+        self.robot, self.gamepad, self.light, self.light_step = robot, gamepad, light, light_step
+        self._level = 1.0
+        self._last: OperatorInput | None = None
+        self._note = Stamper()
+        self._cycle = 0
+
+    def step(self) -> list[OperatorInput | CommandSample | LightSample | RobotSample | Note]:
+        """Read the operator's hands once and act; every fifth time also ask the robot where it stands.
+
+        Returns:
+            What happened: the operator's input when it changed, the command as sent, and notes on faults; the robot
+            stops itself at a fault and waits for the operator's acknowledgment.
+
+        Raises:
+            DeviceError: the input device failed; the robot was stopped and disarmed.
+        """
+        try:
+            hands = self.gamepad.read()
+        except DeviceError:
+            if self.robot:
+                self.robot.disarm()
+            raise
+        events: list[Any] = []
+        if self._last is None or replace(hands, stamp=self._last.stamp) != self._last:
+            events.append(hands)
+        self._last = hands
+        self._cycle += 1
+        try:
+            events += self._light(hands)
+            events += self._drive(hands)
+        except DeviceError as error:
+            events.append(Note(self._note(), "error", str(error)))
+        return events
+
+    def _drive(self, hands: OperatorInput) -> list[Any]:
+        if self.robot is None:
+            return []
+        if hands.emergency_stop:
+            self.robot.emergency_stop("operator")
+        elif hands.acknowledge:
+            self.robot.acknowledge()
+        elif hands.arm:
+            self.robot.arm()
+        bend, push = self.robot.limits.max_bend_rate_rad_s, self.robot.limits.max_insertion_rate_mm_s
+        wanted = JointRates(hands.bend_x * bend, hands.bend_y * bend, hands.insertion * push)
+        events: list[Any] = [self.robot.command(wanted, hands.dead_man)]
+        if self._cycle % 5 == 0:
+            events.append(self.robot.read())
+        return events
+
+    def _light(self, hands: OperatorInput) -> list[Any]:
+        if self.light is None or (hands.light_step == 0 and self._cycle > 1):
+            return []
+        self._level = min(max(self._level + hands.light_step * self.light_step, 0.0), 1.0)
+        return [self.light.set_level(self._level)]

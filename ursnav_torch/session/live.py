@@ -1,0 +1,170 @@
+"""A running session: a thread for each source, one queue, and the robot driven beside it."""
+
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError
+from ursnav_torch.hardware import (
+    Control,
+    Device,
+    Frame,
+    Note,
+    OperatorInput,
+    Rig,
+    RobotSample,
+    SourceAtEndError,
+    Stamper,
+    TrackerSample,
+)
+from ursnav_torch.session.events import Event, Snapshot
+
+logger = logging.getLogger(__name__)
+CONTROL_HZ = 50.0
+RETRY_S = 1.0
+FAULTS_BEFORE_RECONNECT = 10
+
+
+class Live:
+    """The events of a connected rig, as they happen, until the operator quits or the pictures end.
+
+    Camera and tracker are read by threads of their own; the operator drives the robot 50 times a second in another,
+    whatever the reader of the events is busy with. A device that fails is reported as a note and connected again.
+
+    Args:
+        rig: the devices, connected.
+        duration_s: end after so long; 0 for no end.
+        backlog: how many events may wait to be read; more are dropped, counted in `dropped`.
+    """
+
+    def __init__(self, rig: Rig, duration_s: float = 0.0, backlog: int = 20_000) -> None:
+        self.rig, self.duration_s = rig, duration_s
+        self.dropped = 0
+        self.longest_cycle_s = 0.0
+        self._queue: queue.Queue[Event] = queue.Queue(maxsize=backlog)
+        self._end = threading.Event()
+        self._note = Stamper()
+        self._snapshot = Stamper()
+
+    def stop(self) -> None:
+        """End the session; what has happened so far is still given out."""
+        self._end.set()
+
+    @property
+    def waiting(self) -> int:
+        """How many events wait to be read."""
+        return self._queue.qsize()
+
+    def __iter__(self) -> Iterator[Event]:
+        """All events in the order of their arrival; a snapshot follows the press of its button."""
+        threads = self._start()
+        latest: dict[type[Any], Any] = {}
+        deadline = time.monotonic() + self.duration_s if self.duration_s else float("inf")
+        try:
+            while not (self._end.is_set() and self._queue.empty()):
+                if time.monotonic() > deadline:
+                    self._end.set()
+                try:
+                    event = self._queue.get(timeout=0.05)
+                except queue.Empty:
+                    continue
+                latest[type(event)] = event
+                yield event
+                if isinstance(event, OperatorInput):
+                    if event.snapshot:
+                        samples = (latest.get(kind) for kind in (Frame, TrackerSample, RobotSample))
+                        yield Snapshot(self._snapshot(), *samples)
+                    if event.quit:
+                        self._end.set()
+        finally:
+            self._end.set()
+            if self.rig.robot:
+                self.rig.robot.disarm() if self.rig.robot.is_connected else None
+            for thread in threads:
+                thread.join(timeout=2.0)
+
+    def _start(self) -> list[threading.Thread]:
+        jobs: list[tuple[str, Callable[[], None]]] = []
+        if self.rig.camera:
+            camera = self.rig.camera
+            jobs.append(("session-camera", lambda: self._pump(camera, camera.read, ends_session=True)))
+        if self.rig.tracker:
+            tracker = self.rig.tracker
+            jobs.append(("session-tracker", lambda: self._pump(tracker, tracker.read)))
+        if self.rig.gamepad:
+            control = Control(self.rig.robot, self.rig.gamepad, self.rig.light)
+            jobs.append(("session-control", lambda: self._control(control)))
+        threads = [threading.Thread(target=job, name=name, daemon=True) for name, job in jobs]
+        for thread in threads:
+            thread.start()
+        return threads
+
+    def _put(self, event: Event) -> None:
+        try:
+            self._queue.put_nowait(event)
+        except queue.Full:
+            self.dropped += 1
+
+    def _tell(self, level: str, text: str) -> None:
+        logger.log(logging.WARNING if level == "warning" else logging.ERROR, "%s", text)
+        self._put(Note(self._note(), level, text))
+
+    def _pump(self, device: Device, read: Callable[[float], Event], ends_session: bool = False) -> None:
+        """Move a device's samples to the queue; silence and faults become notes, a lost device is sought again."""
+        name, faults, silent = type(device).__name__, 0, False
+        while not self._end.is_set():
+            try:
+                self._put(read(0.5))
+                if silent:
+                    self._tell("warning", f"{name}: samples come again")
+                faults, silent = 0, False
+            except SourceAtEndError as error:
+                self._tell("warning", f"{name}: {error}")
+                if ends_session:
+                    self._end.set()
+                return
+            except DeviceTimeoutError as error:
+                if not silent:
+                    self._tell("warning", f"{name}: {error}")
+                silent = True
+            except DeviceError as error:
+                faults += 1
+                self._tell("error", f"{name}: {error}")
+                if isinstance(error, DeviceNotConnectedError) or faults >= FAULTS_BEFORE_RECONNECT:
+                    self._reconnect(device)
+                    faults = 0
+
+    def _reconnect(self, device: Device) -> None:
+        device.disconnect()
+        while not self._end.wait(RETRY_S):
+            try:
+                device.connect()
+                self._tell("warning", f"{type(device).__name__}: connected again")
+                return
+            except DeviceError as error:
+                logger.info("%s: %s", type(device).__name__, error)
+
+    def _control(self, control: Control) -> None:
+        """Drive, in step with the clock; a lost input device disarms the robot and is sought again."""
+        recent: deque[str] = deque(maxlen=1)
+        due = time.monotonic()
+        while not self._end.wait(max(0.0, due - time.monotonic())):
+            begun = time.monotonic()
+            due = max(due + 1 / CONTROL_HZ, begun)
+            try:
+                for event in control.step():
+                    if isinstance(event, Note):
+                        if event.text not in recent:
+                            recent.append(event.text)
+                            self._tell(event.level, event.text)
+                    else:
+                        self._put(event)
+            except DeviceError as error:
+                self._tell("error", str(error))
+                self._reconnect(control.gamepad)
+                due = time.monotonic()
+            self.longest_cycle_s = max(self.longest_cycle_s, time.monotonic() - begun)

@@ -1,0 +1,136 @@
+"""Reading a session back: whole or cut off, at its own pace or as fast as it can be read."""
+
+import json
+import logging
+import time
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.files import partial_path
+from ursnav_torch.hardware import Frame, Stamp
+from ursnav_torch.hardware.cameras import decode_image
+from ursnav_torch.session.events import Event, Result, Snapshot, from_line, stamp_of
+from ursnav_torch.session.record import ABOUT, EVENTS, FORMAT
+
+logger = logging.getLogger(__name__)
+
+
+class Replay:
+    """The events of a record, in the order in which they were written.
+
+    A record that a crash cut off is read as far as it goes: a last line without its end and pictures whose file is
+    cut are left out, counted in `damaged` and reported once in the log.
+
+    Args:
+        path: the record's folder; ``NAME.partial`` is taken where ``NAME`` does not exist.
+        speed: 1 for the session's own pace, 2 for twice as fast, 0 for as fast as possible.
+
+    Raises:
+        InputError: there is no record, it is of a newer format, or the speed is negative.
+    """
+
+    def __init__(self, path: str | Path, speed: float = 1.0) -> None:
+        path = Path(path)
+        self.path = path if path.exists() else partial_path(path)
+        if not (self.path / EVENTS).is_file():
+            raise InputError(f"{path} is no recorded session: there is no {EVENTS} in it.")
+        if speed < 0:
+            raise InputError(f"speed must be 0 (as fast as possible) or more, got {speed}.")
+        self.speed, self.damaged = speed, 0
+        self.about: dict[str, Any] = self._read_about()
+
+    def __iter__(self) -> Iterator[Event]:
+        """All events; iterate again to replay again."""
+        self.damaged = 0
+        start: tuple[float, float] | None = None
+        last: Frame | None = None
+        for data in self._lines():
+            event = self._event(data, last)
+            if event is None:
+                continue
+            if isinstance(event, Frame):
+                last = event
+            if self.speed:
+                start = start or (event.stamp.t_mono_s, time.monotonic())
+                due = start[1] + (event.stamp.t_mono_s - start[0]) / self.speed
+                time.sleep(max(0.0, due - time.monotonic()))
+            yield event
+        if self.damaged:
+            logger.warning("%s: %d damaged items were left out.", self.path, self.damaged)
+
+    def located_frames(self) -> set[int] | None:
+        """Numbers of the pictures from which results were computed, None if there are no results at all."""
+        found = {int(data["frame"]) for data in self._lines() if data["kind"] == "result"}
+        return found or None
+
+    def results(self) -> list[Result]:
+        """The results as they were recorded."""
+        return [
+            e for data in self._lines() if data.get("kind") == "result" and isinstance(e := from_line(data), Result)
+        ]
+
+    def _lines(self) -> Iterator[dict[str, Any]]:
+        with (self.path / EVENTS).open("rb") as file:
+            for raw in file:
+                try:
+                    data = json.loads(raw) if raw.endswith(b"\n") else None
+                except ValueError:
+                    data = None
+                if isinstance(data, dict) and "kind" in data and "stamp" in data:
+                    yield data
+                else:
+                    self.damaged += 1
+
+    def _event(self, data: dict[str, Any], last: Frame | None) -> Event | None:
+        try:
+            if data["kind"] == "frame":
+                return self._frame(data)
+            event = from_line(data)
+            if isinstance(event, Snapshot):
+                return Snapshot(event.stamp, self._snapshot_frame(data, last), event.tracker, event.robot)
+            return event
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            logger.debug("%s: %s", self.path, error)
+            self.damaged += 1
+            return None
+
+    def _frame(self, data: dict[str, Any]) -> Frame:
+        """The picture of a frame's line, byte for byte.
+
+        Raises:
+            OSError: the file is missing.
+            ValueError: the file is not the one that was written.
+        """
+        encoded = (self.path / str(data["file"])).read_bytes()
+        if len(encoded) != data["bytes"] or zlib.crc32(encoded) != data["crc32"]:
+            raise ValueError(f"{data['file']} is damaged")
+        image = decode_image(encoded, str(data["file"]))
+        kept = encoded if data["kept"] else None
+        return Frame(stamp_of(data), image, kept, str(data["suffix"]), str(data["source"]))
+
+    def _snapshot_frame(self, data: dict[str, Any], last: Frame | None) -> Frame | None:
+        return last if last and data["frame"] == last.stamp.sequence else None
+
+    def _read_about(self) -> dict[str, Any]:
+        """What the record says about itself; nothing where a crash has spoiled it."""
+        try:
+            about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            logger.warning("%s: %s is missing or cut; versions and configuration are unknown.", self.path, ABOUT)
+            return {}
+        if about.get("format", FORMAT) > FORMAT:
+            raise InputError(
+                f"{self.path} has record format {about['format']}, this version reads up to {FORMAT}; "
+                "update ursnav-torch."
+            )
+        return dict(about)
+
+
+def sequence_gaps(stamps: list[Stamp]) -> int:
+    """How many samples are missing between the first and the last of one device's stamps."""
+    if not stamps:
+        return 0
+    return stamps[-1].sequence - stamps[0].sequence + 1 - len(stamps)

@@ -1,0 +1,87 @@
+"""A session from end to end: events in, record and results out, live and replayed alike."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from ursnav_torch.hardware import Frame, Stamper, TrackerSample
+from ursnav_torch.session.events import Event, Result
+from ursnav_torch.session.live import Live
+from ursnav_torch.session.record import Recorder
+from ursnav_torch.session.replay import Replay
+
+#: A live picture older than this when its turn comes is recorded but no longer located.
+STALE_S = 0.3
+Locate = Callable[[Frame, TrackerSample | None], dict[str, Any]]
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a session brought: events by kind, lost ones, results, and how long it took."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
+    dropped: int = 0
+    not_located: int = 0
+    seconds: float = 0.0
+    results: list[Result] = field(default_factory=list)
+
+
+def run_session(
+    source: Live | Replay,
+    recorder: Recorder | None = None,
+    locate: Locate | None = None,
+    on_event: Callable[[Event], None] | None = None,
+    keep_results: bool = True,
+) -> Summary:
+    """Work through a session.
+
+    Live, a picture whose turn comes late is recorded but not located. A replay locates exactly the pictures that were
+    located then (all, if none were), so that the same code gives the same rows and newer code comparable ones.
+
+    Args:
+        source: a live rig or a record.
+        recorder: where everything goes, or None.
+        locate: computes a row of plain values from a picture and the newest EM sample before it.
+        on_event: sees every event, results included; must be quick.
+        keep_results: False for sessions without end: results then go to recorder and observer alone.
+
+    Returns:
+        Counts, losses by sequence number, and the results.
+    """
+    summary, begun = Summary(), time.monotonic()
+    chosen = source.located_frames() if isinstance(source, Replay) and locate else None
+    stamp, tracker = Stamper(), None
+    spans: dict[str, tuple[int, int]] = {}
+
+    def take(event: Event) -> None:
+        kind = type(event).__name__
+        summary.counts[kind] = summary.counts.get(kind, 0) + 1
+        first, _ = spans.get(kind, (event.stamp.sequence, 0))
+        spans[kind] = (first, event.stamp.sequence)
+        if recorder:
+            recorder.write(event)
+        if on_event:
+            on_event(event)
+        if isinstance(event, Result) and keep_results:
+            summary.results.append(event)
+
+    for event in source:
+        if isinstance(event, Result) and locate:
+            continue  # computed anew
+        take(event)
+        if isinstance(event, TrackerSample):
+            tracker = event
+        if locate and isinstance(event, Frame):
+            late = isinstance(source, Live) and time.monotonic() - event.stamp.t_mono_s > STALE_S
+            if late or (chosen is not None and event.stamp.sequence not in chosen):
+                summary.not_located += 1
+            else:
+                take(Result(stamp(), event.stamp.sequence, locate(event, tracker)))
+    for kind, (first, last) in spans.items():
+        if kind in ("Frame", "TrackerSample", "CommandSample") and (lost := last - first + 1 - summary.counts[kind]):
+            summary.lost[kind] = lost
+    summary.dropped = source.dropped if isinstance(source, Live) else 0
+    summary.seconds = time.monotonic() - begun
+    return summary
