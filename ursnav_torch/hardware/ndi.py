@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.errors import DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.hardware.base import Tracker, TrackerSample
 from ursnav_torch.hardware.serial_link import SerialLink
 
@@ -237,7 +237,7 @@ class NdiTracker(Tracker):
             self._link.discard_input()
             self._link.write(message("TSTOP:"))
             self._link.read_until(b"\r", 0.2)
-        except (DeviceTimeoutError, DeviceProtocolError, OSError):
+        except DeviceError:
             pass
         finally:
             self._link.close()

@@ -8,10 +8,9 @@ payload`` with everything little-endian. The device announces its topics when as
 import logging
 import struct
 import time
-from collections import deque
 from dataclasses import dataclass
 
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError
+from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutError
 from ursnav_torch.hardware.serial_link import SerialLink
 
 PUBLISHER, SUBSCRIBER, LOG, TIME, STOP = 0, 1, 7, 10, 11
@@ -150,7 +149,7 @@ class RosserialLink:
         self.port = port
         self._link = SerialLink(port, baud)
         self._decoder = Decoder()
-        self._packets: deque[Packet] = deque()
+        self._early: list[Packet] = []  # messages that came among the announcements
         self.topics: dict[str, TopicInfo] = {}
         try:
             self._negotiate(needed, deadline_s)
@@ -162,7 +161,7 @@ class RosserialLink:
         """Ask the device to stop sending, and close the port."""
         try:
             self._link.write(STOP_SENDING)
-        except (DeviceTimeoutError, DeviceNotConnectedError) as error:
+        except DeviceError as error:
             logger.debug("closing %s: %s", self.port, error)
         self._link.close()
 
@@ -181,11 +180,12 @@ class RosserialLink:
         deadline = time.monotonic() + timeout_s
         while True:
             messages = []
-            for packet in self._read_packets():
+            for packet in [*self._early, *self._read_packets()]:
                 if packet.topic in names:
                     messages.append((names[packet.topic], packet.payload))
                 elif packet.topic in (PUBLISHER, SUBSCRIBER):
                     raise DeviceProtocolError(f"{self.port}: the board was reset in mid-session; check its power.")
+            self._early.clear()
             if messages or time.monotonic() >= deadline:
                 return messages
             time.sleep(0.002)
@@ -215,6 +215,8 @@ class RosserialLink:
             for packet in self._read_packets():
                 if packet.topic in (PUBLISHER, SUBSCRIBER):
                     self._learn(packet.payload, needed)
+                elif packet.topic >= FIRST_USER_TOPIC:
+                    self._early.append(packet)
             time.sleep(0.002)
 
     def _learn(self, payload: bytes, needed: dict[str, tuple[str, str]]) -> None:

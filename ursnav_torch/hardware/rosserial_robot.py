@@ -122,9 +122,10 @@ class RosserialRobot(Robot):
         """Take in the positions that came; wait only when the newest are older than half a second."""
         deadline = time.monotonic() + timeout_s
         while True:
-            for link in self._links:
+            for link, wanted in ((self._links[0], BEND_POSITION), (self._links[-1], SLIDER_POSITION)):
                 for name, payload in link.receive(0.0):
-                    self._take(name, payload)
+                    if len(self._links) == 1 or name == wanted:
+                        self._take(name, payload)
             now = time.monotonic()
             if now - min(self._heard_s) < SILENCE_S:
                 return

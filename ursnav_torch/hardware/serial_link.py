@@ -1,5 +1,6 @@
 """Bytes over a serial port, with a deadline on every read and one kind of error for a pulled plug."""
 
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ import serial
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError
 
 LONGEST_LINE = 2048
+POLL_S = 0.02
 
 
 class SerialLink:
@@ -24,7 +26,7 @@ class SerialLink:
         self._pending = bytearray()
         self._write_lock = threading.Lock()
         try:
-            self._serial = serial.serial_for_url(port, baudrate=baud, timeout=0, write_timeout=1.0)
+            self._serial = serial.serial_for_url(port, baudrate=baud, timeout=POLL_S, write_timeout=1.0)
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceNotConnectedError(
                 f"Serial port {port} cannot be opened: {error}. Is the device plugged in and switched on, "
@@ -76,7 +78,8 @@ class SerialLink:
     def read_available(self) -> bytes:
         """Whatever has come so far, without waiting."""
         with self._unplugged():
-            self._pending += self._serial.read(self._serial.in_waiting)
+            if waiting := self._serial.in_waiting:
+                self._pending += self._serial.read(waiting)
         return self._take(len(self._pending))
 
     def discard_input(self) -> None:
@@ -99,13 +102,11 @@ class SerialLink:
         return taken
 
     def _fill(self, deadline: float, wanted: str) -> None:
-        remaining = deadline - time.monotonic()
-        if remaining <= 0:
+        if time.monotonic() >= deadline:
             raise DeviceTimeoutError(
                 f"{self.port} did not send {wanted} in time (so far {bytes(self._pending)!r}); is it switched on?"
             )
         with self._unplugged():
-            self._serial.timeout = remaining
             self._pending += self._serial.read(max(1, self._serial.in_waiting))
 
     @contextmanager
@@ -114,5 +115,5 @@ class SerialLink:
             yield
         except (serial.SerialTimeoutException, DeviceTimeoutError):
             raise
-        except (serial.SerialException, OSError, TypeError) as error:
+        except (serial.SerialException, OSError, termios.error, TypeError) as error:
             raise DeviceNotConnectedError(f"{self.port} is gone ({error}); was it unplugged?") from error

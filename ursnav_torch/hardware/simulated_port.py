@@ -35,29 +35,23 @@ class SimulatedPort:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Pull the plug: the driver's port dies at once."""
+        """Pull the plug: the driver's port is dead when this returns."""
         with self._lock:
             if not self._plugged:
                 return
             self._plugged = False
-            os.close(self._master)
-            os.close(self._slave)
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
 
     def close(self) -> None:
-        """Unplug and end the thread."""
+        """The same as `unplug`."""
         self.unplug()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
         while self._plugged:
-            try:
-                readable, _, _ = select.select([self._master], [], [], self._period_s)
-                with self._lock:
-                    if self._plugged:
-                        self._serve(bool(readable))
-            except (OSError, ValueError):
-                return
+            readable, _, _ = select.select([self._master], [], [], self._period_s)
+            self._serve(bool(readable))
 
     def _serve(self, readable: bool) -> None:
         data = os.read(self._master, 4096) if readable else b""

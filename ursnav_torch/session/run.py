@@ -48,7 +48,7 @@ def run_session(
         keep_results: False for sessions without end: results then go to recorder and observer alone.
 
     Returns:
-        Counts, losses by sequence number, and the results.
+        Counts, losses by gaps in the sources' own numbers, and the results.
     """
     summary, begun = Summary(), time.monotonic()
     chosen = source.located_frames() if isinstance(source, Replay) and locate else None
@@ -58,8 +58,8 @@ def run_session(
     def take(event: Event) -> None:
         kind = type(event).__name__
         summary.counts[kind] = summary.counts.get(kind, 0) + 1
-        first, _ = spans.get(kind, (event.stamp.sequence, 0))
-        spans[kind] = (first, event.stamp.sequence)
+        number = event.source_frame if isinstance(event, TrackerSample) else event.stamp.sequence
+        spans[kind] = (spans.get(kind, (number, 0))[0], number)
         if recorder:
             recorder.write(event)
         if on_event:
