@@ -1,15 +1,24 @@
-"""Results that are whole or absent: work lies in ``NAME.partial`` and gets its name in one rename."""
+"""Results that are whole or absent: work lies in ``NAME.partial`` and gets its name in one rename; and progress."""
 
 import csv
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 from ursnav_torch.errors import InputError
+
+#: ``progress(total, what)`` gives a context with ``advance(n)``: how long work says how far it is.
+Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
+
+
+@contextmanager
+def no_progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
+    """Progress that nobody watches."""
+    yield lambda n: None
 
 
 def partial_path(path: Path) -> Path:

@@ -1,5 +1,6 @@
 """From a picture to a place in the kidney: calyx, confidence, pose."""
 
+from ursnav_torch.localization.learn import Query, learn_confidence, simulated_queries
 from ursnav_torch.localization.locate import (
     Candidate,
     LocalizationSettings,
@@ -10,4 +11,18 @@ from ursnav_torch.localization.locate import (
 )
 from ursnav_torch.localization.matches import MATCH_COLUMNS, find_images, locate_files, match_row
 
-__all__ = ["MATCH_COLUMNS", "Candidate", "LocalizationSettings", "Localizer", "Location", "default_matching", "find_images", "locate_files", "match_row", "rolled"]
+__all__ = [
+    "MATCH_COLUMNS",
+    "Candidate",
+    "LocalizationSettings",
+    "Localizer",
+    "Location",
+    "Query",
+    "default_matching",
+    "find_images",
+    "learn_confidence",
+    "locate_files",
+    "match_row",
+    "rolled",
+    "simulated_queries",
+]

@@ -14,7 +14,7 @@ from ursnav_torch.geometry import transform_from
 from ursnav_torch.localization.confidence import Confidence, evidence
 from ursnav_torch.localization.scan import RollScan
 from ursnav_torch.localization.shape import ShapeStage
-from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext
+from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext, one_thread_an_operation
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -158,10 +158,10 @@ class Localizer:
             FeatureError: it shows too little to be matched.
         """
         start = time.perf_counter()
-        with torch.inference_mode():
-            features = self._extractor.extract(image)
+        with torch.inference_mode(), one_thread_an_operation():
+            features = self.features(image)
             ranking = self.rank(features)
-            seen = evidence(ranking.distance, self._calyx[ranking.views])
+            seen = evidence(ranking.distance, self.calyx_of(ranking.views))
         confidence = self._confidence.probability(seen)
         candidates = tuple(self._candidate(ranking, i) for i in self._best(ranking, seen.calyx))
         best = candidates[0]
@@ -177,6 +177,14 @@ class Localizer:
             features,
             time.perf_counter() - start,
         )
+
+    def features(self, image: NDArray[np.uint8]) -> Features:
+        """Features of a picture, as `locate` extracts them; the same errors."""
+        return self._extractor.extract(image)
+
+    def calyx_of(self, views: Tensor) -> Tensor:
+        """Calyx indices (K,) that views (K,) observe, -1 for none."""
+        return self._calyx[views]
 
     def rank(self, features: Features) -> Ranking:
         """The VID's nearest views to a picture's features."""

@@ -44,7 +44,9 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in re.split(r"(\d+)", name) if part]
 
 
-def locate_files(localizer: Localizer, base: Path, paths: list[Path]) -> Iterator[tuple[dict[str, Any], Location | None]]:
+def locate_files(
+    localizer: Localizer, base: Path, paths: list[Path]
+) -> Iterator[tuple[dict[str, Any], Location | None]]:
     """A row of `MATCH_COLUMNS` and the location of every picture; one that cannot be located has an ``error``."""
     for path in paths:
         row: dict[str, Any] = {"image": path.relative_to(base).as_posix()}

@@ -11,6 +11,7 @@ from ursnav_torch.matching.nearest import Nearest
 from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.point_sets import PointSets, pack
 from ursnav_torch.matching.sinkhorn import ConvergenceWarning, Sinkhorn
+from ursnav_torch.matching.workers import one_thread_an_operation
 
 __all__ = [
     "ConvergenceWarning",
@@ -27,6 +28,7 @@ __all__ = [
     "describe",
     "fix_scale",
     "mean_distances",
+    "one_thread_an_operation",
     "pack",
     "shape_distances",
 ]

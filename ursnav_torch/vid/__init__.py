@@ -2,12 +2,13 @@
 
 from ursnav_torch.vid.base import Vid, ViewFeatures
 from ursnav_torch.vid.build import build_vid
-from ursnav_torch.vid.draw import Studio, pack
+from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
 from ursnav_torch.vid.store import POSE_COLUMNS, load_vid, pose_cells, poses_from_rows, save_vid
 
 __all__ = [
     "POSE_COLUMNS",
+    "MakeRenderer",
     "Plan",
     "PlanSettings",
     "Studio",

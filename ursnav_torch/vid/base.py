@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
 from ursnav_torch.features import Extractor, Settings, make_extractor
 from ursnav_torch.kidney import Kidney
 
@@ -65,6 +66,18 @@ class Vid:
         """An extractor as the views' features were made with."""
         return make_extractor(self.settings, self.camera)
 
+    def check_lens(self, camera: Camera) -> None:
+        """Refuse pictures of another lens than the views'.
+
+        Raises:
+            InputError: size or calibration differ.
+        """
+        if not self.camera.same_lens(camera):
+            raise InputError(
+                f"The pictures' lens ({_lens(camera)}) is not the one that the VID {self.folder} was drawn through "
+                f"({_lens(self.camera)}); build a VID with camera= as the pictures have it."
+            )
+
     def calyx_name(self, calyx: int) -> str:
         """Name of a calyx index; blank for -1."""
         return self.kidney.calyces[calyx].name if calyx >= 0 else ""
@@ -77,3 +90,7 @@ class Vid:
 def image_name(view: int) -> str:
     """File name of a view's picture."""
     return f"{view:06d}.png"
+
+
+def _lens(camera: Camera) -> str:
+    return f"{camera.model}, {camera.width} x {camera.height} px, fx {camera.fx:.1f}, fy {camera.fy:.1f}"

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import Settings, settings_to_dict
-from ursnav_torch.files import check_output, commit, partial_path
+from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import MakeRenderer, Studio, join, load_features, save_features
@@ -38,9 +39,8 @@ def build_vid(
     *,
     overwrite: bool = False,
     workers: int | None = None,
-    advance: Advance = lambda n: None,
-    started: Callable[[int], None] = lambda n: None,
-    finish: Callable[[Vid], dict[str, object] | None] = lambda vid: None,
+    progress: Progress = no_progress,
+    learn: Callable[..., dict[str, object]] | None = None,
 ) -> Vid:
     """Build the VID of a kidney in folder ``out``; a build that was interrupted goes on from its last shard.
 
@@ -52,23 +52,24 @@ def build_vid(
         out: the folder to be made.
         overwrite: replace what stands there.
         workers: processes; all cores when None, none besides this one when 1.
-        advance: called with the number of views finished.
-        started: called once with the number of views there will be.
-        finish: called with the drawn VID; what it returns is stored as the VID's calibration.
+        progress: ``progress(total, what)`` gives a context with ``advance(n)``.
+        learn: called as ``learn(vid, progress=progress)`` with the drawn VID; what it returns is stored as the VID's
+            calibration.
 
     Raises:
         InputError: ``out`` exists, or a calyx has no room for the scope.
     """
     check_output(out, overwrite)
     views = plan_views(kidney, LumenDistance.from_kidney(kidney), plan)
-    started(len(views.calyx))
     work = partial_path(out)
     _prepare(work, _fingerprint(kidney, camera, settings, make_renderer, views))
     studio = Studio(kidney.mesh, camera, settings, make_renderer)
-    _draw_all(studio, views.T_kidney_camera, work, workers or os.cpu_count() or 1, advance)
+    with progress(len(views.calyx), "views") as advance:
+        _draw_all(studio, views.T_kidney_camera, work, workers or os.cpu_count() or 1, advance)
     shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
     vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
-    vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, vid.features, work, finish(vid))
+    if learn is not None:
+        vid = replace(vid, calibration=learn(vid, progress=progress))
     save_vid(vid, work)
     shutil.rmtree(work / "shards")
     (work / "fingerprint.json").unlink()

@@ -52,7 +52,9 @@ class Overview:
         cv2.fillConvexPoly(veil, cv2.convexHull(np.concatenate([tip[None], cone])), (120, 220, 255), cv2.LINE_AA)
         picture = cv2.addWeighted(veil, 0.45, picture, 0.55, 0)
         for axis, color in zip(reach_mm * np.eye(3), _AXES, strict=True):
-            cv2.arrowedLine(picture, tip, self._at(T_kidney_camera, axis[None])[0], color, 2, cv2.LINE_AA, tipLength=0.25)
+            cv2.arrowedLine(
+                picture, tip, self._at(T_kidney_camera, axis[None])[0], color, 2, cv2.LINE_AA, tipLength=0.25
+            )
         cv2.circle(picture, tip, 4, (20, 20, 20), -1, cv2.LINE_AA)
         return np.asarray(picture, np.uint8)
 
@@ -91,7 +93,9 @@ def _translucent(mesh: trimesh.Trimesh, overview: Overview, layers: int = 8) -> 
     side = overview.picture.shape[0]
     R, t = overview.T_view_kidney[:3, :3], overview.T_view_kidney[:3, 3]
     scene = RayScene(mesh)
-    grid = (np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) - (side - 1) / 2) / overview.px_per_mm
+    grid = (
+        np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) - (side - 1) / 2
+    ) / overview.px_per_mm
     origin = (np.column_stack([grid, np.full(len(grid), -1e3)]) - t) @ R
     away = np.broadcast_to(R[2], origin.shape)
     through = np.ones(len(grid))

@@ -1,0 +1,50 @@
+# make demo: set all up and run the demo.   make test: set all up and run every test.
+# Both make a virtual environment in .venv; PYTHON=python3.12 chooses another interpreter.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+GL_PACKAGES := libegl1 libgl1-mesa-dri
+export PYOPENGL_PLATFORM ?= egl
+
+.PHONY: demo test check setup setup-dev system clean
+
+demo: setup
+	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
+
+test: check
+	$(BIN)/python -m pytest
+
+check: setup-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+setup: system $(VENV)/.installed
+
+setup-dev: system $(VENV)/.installed-dev
+
+# OpenGL libraries for pyrender (rendering=pyrender): installed where that is possible, named where it is not.
+system:
+	@if command -v dpkg >/dev/null && ! dpkg -s $(GL_PACKAGES) >/dev/null 2>&1; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(GL_PACKAGES); \
+	  else \
+	    echo "rendering=pyrender needs the system packages $(GL_PACKAGES): sudo apt-get install $(GL_PACKAGES)"; \
+	  fi; \
+	fi
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@ $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) ursnav_demo

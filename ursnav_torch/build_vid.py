@@ -1,0 +1,41 @@
+"""Build the virtual image database (VID) of a kidney: views with known poses, reduced to features."""
+
+from typing import Any
+
+from ursnav_torch._runner import caller_path, progress, runner
+
+
+@runner("build_vid")
+def main(config: Any) -> None:
+    """Instantiate the choices and call `vid.build_vid`."""
+    from functools import partial
+
+    from hydra.utils import instantiate
+
+    from ursnav_torch.files import check_output
+    from ursnav_torch.localization import learn_confidence
+    from ursnav_torch.vid import build_vid
+
+    out = caller_path(config.out)
+    check_output(out, config.overwrite)
+    kidney, camera = instantiate(config.kidney), instantiate(config.camera)
+    make_renderer, plan = instantiate(config.rendering), instantiate(config.views)
+    learn = partial(learn_confidence, make_renderer=make_renderer, plan=plan) if config.calibrate else None
+    vid = build_vid(
+        kidney,
+        camera,
+        instantiate(config.features),
+        make_renderer,
+        plan,
+        out,
+        overwrite=config.overwrite,
+        workers=config.workers,
+        progress=progress,
+        learn=learn,
+    )
+    names = ", ".join(f"{c.name} {(vid.calyx == i).sum()}" for i, c in enumerate(kidney.calyces))
+    print(f"{len(vid)} views in {out} (scale {kidney.scale:g}); views a calyx: {names}")
+
+
+if __name__ == "__main__":
+    main()

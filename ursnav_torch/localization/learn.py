@@ -1,0 +1,98 @@
+"""Learning how far answers can be trusted, from simulated pictures of the very kidney, when its VID is built."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import FeatureError
+from ursnav_torch.files import Progress, no_progress
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.localization.confidence import evidence, fit
+from ursnav_torch.localization.locate import Localizer
+from ursnav_torch.matching import one_thread_an_operation
+from ursnav_torch.rendering import Renderer
+from ursnav_torch.rendering.sensor import PRESETS, draw_faults, none_pictures, simulate
+from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
+
+#: Share of pictures that show no calyx among those learned from.
+NONE_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A simulated picture and what it shows.
+
+    Attributes:
+        image: (H, W, 3) uint8, blue, green, red.
+        T_kidney_camera: (4, 4); nan for a picture of nothing.
+        calyx: index of the calyx observed, -1 for none.
+        preset: which faults it was drawn with, or "none".
+    """
+
+    image: NDArray[np.uint8]
+    T_kidney_camera: NDArray[np.float64]
+    calyx: int
+    preset: str
+
+
+def simulated_queries(vid: Vid, renderer: Renderer, plan: PlanSettings, rng: np.random.Generator) -> Iterator[Query]:
+    """A picture from every pose of a plan, the presets of sensor faults taking turns."""
+    views = plan_views(vid.kidney, LumenDistance.from_kidney(vid.kidney), plan)
+    names = list(PRESETS)
+    for i, (T, calyx) in enumerate(zip(views.T_kidney_camera, views.calyx, strict=True)):
+        name = names[i % len(names)]
+        yield Query(simulate(renderer, T, draw_faults(PRESETS[name], rng), rng), T, int(calyx), name)
+
+
+def learn_confidence(
+    vid: Vid,
+    make_renderer: MakeRenderer,
+    plan: PlanSettings,
+    queries_per_calyx: int = 24,
+    progress: Progress = no_progress,
+) -> dict[str, object]:
+    """Locate simulated pictures from poses that are no views, and fit confidence to what came out.
+
+    Args:
+        vid: the views, already with features.
+        make_renderer: called as ``make_renderer(mesh, camera)``.
+        plan: how the VID's views were planned; the queries are planned alike, with a seed of their own.
+        queries_per_calyx: pictures of each calyx.
+        progress: ``progress(total, what)`` gives a context with ``advance(n)``.
+
+    Returns:
+        Plain data for `Confidence.from_calibration`.
+    """
+    renderer = make_renderer(vid.kidney.mesh, vid.camera)
+    rng = np.random.default_rng(plan.seed + 1)
+    alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
+    localizer = Localizer(vid)
+    numbers, right = [], []
+    total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
+    with torch.inference_mode(), one_thread_an_operation(), progress(total, "pictures to learn from") as advance:
+        for image, calyx in _pictures(vid, renderer, alike, rng):
+            advance(1)
+            try:
+                ranking = localizer.rank(localizer.features(image))
+            except FeatureError:
+                continue
+            seen = evidence(ranking.distance, localizer.calyx_of(ranking.views))
+            numbers.append(seen.numbers())
+            right.append(seen.calyx == calyx)
+    learned = fit(np.array(numbers), np.array(right))
+    return {"confidence": list(learned.weights), "queries": len(right), "right": int(np.sum(right))}
+
+
+def _pictures(
+    vid: Vid, renderer: Renderer, plan: PlanSettings, rng: np.random.Generator
+) -> Iterator[tuple[NDArray[np.uint8], int]]:
+    """Pictures and the calyx each shows; -2, which no answer equals, for pictures of nothing."""
+    count = 0
+    for query in simulated_queries(vid, renderer, plan, rng):
+        count += 1
+        yield query.image, query.calyx
+    for image, _ in none_pictures(rng, round(NONE_SHARE * count), renderer, vid.T_kidney_camera):
+        yield image, -2

@@ -1,0 +1,35 @@
+"""Locate pictures in a kidney: one row each with calyx, pose and confidence."""
+
+from typing import Any
+
+from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, progress, runner
+
+
+@runner("match", paths=("images", "report"))
+def main(config: Any) -> int:
+    """Instantiate the choices and call `viewer.match_images`."""
+    from hydra.utils import instantiate
+
+    from ursnav_torch.localization import Localizer
+    from ursnav_torch.vid import load_vid
+    from ursnav_torch.viewer import match_images
+
+    vid = load_vid(caller_path(config.vid))
+    if config.camera:
+        vid.check_lens(instantiate(config.camera))
+    localizer = Localizer(vid, instantiate(config.matching), instantiate(config.localization))
+    report = None if config.report is None else caller_path(config.report)
+    rows = match_images(
+        localizer, str(caller_path(config.images)), caller_path(config.out), report, config.overwrite, progress
+    )
+    wrong = sum(1 for row in rows if row.get("error"))
+    unsure = sum(1 for row in rows if row.get("accepted") is False)
+    print(
+        f"{len(rows)} pictures: {len(rows) - wrong - unsure} located, {unsure} unsure, {wrong} with an error; "
+        f"rows in {config.out}"
+    )
+    return ROWS_WITH_ERRORS if wrong else OK
+
+
+if __name__ == "__main__":
+    main()

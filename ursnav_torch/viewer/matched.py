@@ -1,0 +1,63 @@
+"""A `match` run: pictures in, CSV and page out."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import read_image
+from ursnav_torch.files import Progress, check_output, commit, partial_path, write_csv
+from ursnav_torch.localization import MATCH_COLUMNS, Localizer, find_images, locate_files
+from ursnav_torch.viewer.report import MatchReport
+
+
+def match_images(
+    localizer: Localizer,
+    images: str,
+    out: Path,
+    report: Path | None,
+    overwrite: bool,
+    progress: Progress,
+    truth: dict[str, str] | None = None,
+) -> list[dict[str, Any]]:
+    """Locate all pictures of a file, folder or glob, write the CSV and, if asked for, the page with pictures.
+
+    Args:
+        localizer: the VID and how to search it.
+        images: a file, a folder or a glob.
+        out: CSV file to be made.
+        report: folder to be made for ``index.html``, or None.
+        overwrite: replace what stands there.
+        progress: ``progress(total, what)`` gives a context with ``advance(n)``.
+        truth: true calyx names by picture, shown on the page where known.
+
+    Returns:
+        The rows, keyed by `MATCH_COLUMNS`.
+    """
+    base, paths = find_images(images)
+    check_output(out, overwrite)
+    page = None
+    if report is not None:
+        check_output(report, overwrite)
+        shutil.rmtree(partial_path(report), ignore_errors=True)
+        partial_path(report).mkdir(parents=True)
+        page = MatchReport(partial_path(report), localizer.vid)
+    rows = []
+    with progress(len(paths), "pictures") as advance:
+        for path, (row, location) in zip(paths, locate_files(localizer, base, paths), strict=True):
+            rows.append(row)
+            if page is not None:
+                page.add(row, location, _readable(path), (truth or {}).get(row["image"]))
+            advance(1)
+    write_csv(out, MATCH_COLUMNS, rows)
+    if page is not None and report is not None:
+        page.finish(f"{len(rows)} pictures from {base}, searched among {len(localizer.vid)} views.")
+        commit(partial_path(report), report)
+    return rows
+
+
+def _readable(path: Path) -> Any:
+    try:
+        return read_image(path)
+    except InputError:
+        return None
