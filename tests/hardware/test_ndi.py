@@ -1,7 +1,9 @@
 """The NDI driver by its byte dialogue, the simulated unit, and scikit-surgerynditracker as second opinion."""
 
 import math
+import os
 import struct
+import threading
 import time
 
 import pytest
@@ -59,9 +61,7 @@ def test_a_6_dof_tool_keeps_its_quaternion_in_our_order():
 
 def test_a_unit_that_does_not_answer_at_first_is_reset_by_a_break():
     silent = [(b"INIT:E3A5\r", b"")]
-    with dialogue([*silent, *START, STOP]) as (path, board, port):
-        import os
-        import threading
+    with dialogue([*silent, *START, STOP]) as (path, _, port):
 
         def reset():  # the break does not get through a pseudo-terminal, so the unit resets by itself
             time.sleep(0.9)
@@ -127,7 +127,11 @@ def test_refusals():
 floats = st.floats(-1000, 1000, width=32)
 
 
-@given(st.lists(st.builds(ToolPose, st.integers(0, 255), st.tuples(*[floats] * 4), st.tuples(*[floats] * 3), floats, st.integers(0, 2**32 - 1)), max_size=4))  # fmt: skip
+numbers = st.integers(0, 2**32 - 1)
+poses = st.builds(ToolPose, st.integers(0, 255), st.tuples(*[floats] * 4), st.tuples(*[floats] * 3), floats, numbers)
+
+
+@given(st.lists(poses, max_size=4))
 def test_poses_round_trip(tools):
     raw = pack_bx(tools)
     length, head_crc = struct.unpack("<HH", raw[2:6])
