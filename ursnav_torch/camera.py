@@ -196,7 +196,7 @@ def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
             str(data["model"]), int(data["width"]), int(data["height"]), float(data["fx"]), float(data["fy"]),
             float(data["cx"]), float(data["cy"]), k, None if fov is None else float(fov),  # type: ignore[arg-type]
         )  # fmt: skip
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"The camera in {where} cannot be used: {error}") from None
 
 

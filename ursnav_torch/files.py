@@ -41,8 +41,21 @@ def check_output(path: Path, overwrite: bool) -> None:
         raise InputError(f"The folder {path.parent} for the result cannot be made: {error.strerror}.") from None
 
 
+def check_output_file(path: Path, overwrite: bool) -> None:
+    """`check_output` for a result that is one file.
+
+    Raises:
+        InputError: see `check_output`; also where a folder has that name.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder, but the result is a file; name the file, too.")
+    check_output(path, overwrite)
+
+
 def commit(partial: Path, path: Path) -> None:
     """Give finished work its name; a folder that stood there goes first to ``NAME.old`` and is then removed."""
+    if path.is_file() and partial.is_dir():
+        path.unlink()
     if path.is_dir() and partial.is_dir():
         old = path.with_name(path.name + ".old")
         shutil.rmtree(old, ignore_errors=True)
@@ -56,7 +69,7 @@ def commit(partial: Path, path: Path) -> None:
 @contextmanager
 def whole_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Yield a path to write to; it becomes ``path`` only when the block ends without an error."""
-    check_output(path, overwrite)
+    check_output_file(path, overwrite)
     partial = partial_path(path)
     try:
         yield partial
@@ -81,7 +94,9 @@ def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, An
 
 
 def cell(value: Any) -> str:
-    """One CSV cell: blank for None and NaN, ``true``/``false``, floats to 6 significant decimals."""
+    """One CSV cell: blank for None and NaN, ``true``/``false``, floats to 6 decimals; NumPy's scalars as Python's."""
+    if hasattr(value, "item"):
+        value = value.item()
     if value is None or (isinstance(value, float) and value != value):
         return ""
     if isinstance(value, bool):

@@ -96,7 +96,7 @@ def look_along(position_mm: ArrayLike, direction: ArrayLike, roll: ArrayLike = 0
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     y = np.cross(z, x)
     c, s = np.cos(roll)[..., None], np.sin(roll)[..., None]
-    return transform_from(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), position)
+    return transform_from(np.stack(np.broadcast_arrays(c * x + s * y, c * y - s * x, z), axis=-1), position)
 
 
 def rotation_angle(T_a_b: ArrayLike, T_a_c: ArrayLike) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import read_image
-from ursnav_torch.files import Progress, check_output, commit, partial_path, write_csv
+from ursnav_torch.files import Progress, check_output, check_output_file, commit, partial_path, write_csv
 from ursnav_torch.localization import MATCH_COLUMNS, Localizer, find_images, locate_files
 from ursnav_torch.viewer.report import MatchReport
 
@@ -35,7 +35,7 @@ def match_images(
         The rows, keyed by `MATCH_COLUMNS`.
     """
     base, paths = find_images(images)
-    check_output(out, overwrite)
+    check_output_file(out, overwrite)
     page = None
     if report is not None:
         check_output(report, overwrite)

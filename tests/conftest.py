@@ -1,0 +1,96 @@
+"""What many tests share: a small phantom kidney, its VID, and a way to call runners in this process."""
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.features import DefaultSettings
+from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.vid import PlanSettings, Vid, build_vid
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """How a runner ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Finished]
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real kidneys and pictures."""
+    folder = os.environ.get("URSNAV_DATA")
+    if not folder:
+        pytest.skip("URSNAV_DATA does not name the folder of real kidneys and pictures")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def phantom() -> Kidney:
+    return make_phantom_kidney(0, calyces=6)
+
+
+@pytest.fixture(scope="session")
+def phantom_lumen(phantom: Kidney) -> LumenDistance:
+    return LumenDistance.from_kidney(phantom)
+
+
+@pytest.fixture(scope="session")
+def lens() -> Camera:
+    return equidistant_camera(160.0, 96, 96)
+
+
+@pytest.fixture(scope="session")
+def plan() -> PlanSettings:
+    return PlanSettings(views_per_calyx=12, passage_views=12)
+
+
+@pytest.fixture(scope="session")
+def vid(phantom: Kidney, lens: Camera, plan: PlanSettings, tmp_path_factory: pytest.TempPathFactory) -> Vid:
+    """84 views of the phantom, without calibration; its folder is ``vid.folder``. Not to be changed."""
+    out = tmp_path_factory.mktemp("vid") / "small"
+    return build_vid(phantom, lens, DefaultSettings(), RaycastRenderer, plan, out, workers=1)
+
+
+@pytest.fixture(scope="session")
+def renderer(phantom: Kidney, lens: Camera) -> RaycastRenderer:
+    return RaycastRenderer(phantom.mesh, lens)
+
+
+@pytest.fixture(scope="session")
+def picture(vid: Vid, renderer: RaycastRenderer) -> np.ndarray:
+    """A picture (96, 96) of the first calyx."""
+    return renderer.render(vid.T_kidney_camera[3]).image
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """``run("match", "vid=...", ...)`` calls a runner in an empty working folder, as ``python -m`` would."""
+    work = tmp_path / "caller's folder"
+    work.mkdir()
+
+    def call(name: str, *overrides: str) -> Finished:
+        monkeypatch.chdir(work)
+        monkeypatch.setattr(sys, "argv", [f"{name}.py", *overrides])
+        monkeypatch.setattr("warnings.formatwarning", lambda *_: "")
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as end:
+            import_module(f"ursnav_torch.{name}").main()
+        streams = capsys.readouterr()
+        code = end.value.code
+        return Finished(code if isinstance(code, int) else 0, streams.out, streams.err)
+
+    return call
