@@ -1,0 +1,142 @@
+"""The printed board: how it is drawn, and where its corners lie in a picture. Pixel centers at whole numbers."""
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.files import whole_file
+
+BOARDS = ("charuco", "chessboard")
+#: Pictures are enlarged to at least this width before corners are sought: a scope's 250 px are few for a marker.
+DETECTION_WIDTH_PX = 700
+MIN_CORNERS = 6
+_PRINT_PX_PER_MM = 600 / 25.4
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A flat printed board.
+
+    Args:
+        kind: ``charuco`` (chessboard with markers; may be partly out of the picture) or ``chessboard``.
+        columns, rows: squares across and down.
+        square_mm: side of a square.
+        marker_mm: side of a charuco marker.
+        dictionary: charuco marker dictionary, OpenCV's name without ``DICT_``.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    kind: str = "charuco"
+    columns: int = 7
+    rows: int = 5
+    square_mm: float = 4.0
+    marker_mm: float = 3.0
+    dictionary: str = "4X4_50"
+
+    def __post_init__(self) -> None:
+        if self.kind not in BOARDS:
+            raise InputError(f"Unknown board {self.kind!r}; known are {', '.join(BOARDS)}.")
+        if self.columns < 3 or self.rows < 3:
+            raise InputError(f"The board has {self.columns} x {self.rows} squares; at least 3 x 3 are needed.")
+        if self.square_mm <= 0 or (self.kind == "charuco" and not 0 < self.marker_mm < self.square_mm):
+            raise InputError(
+                f"Squares of {self.square_mm} mm and markers of {self.marker_mm} mm do not make a board; measure the "
+                "print: both positive, the marker smaller than its square."
+            )
+        if self.kind == "charuco":
+            _dictionary(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Corners:
+    """The corners found in one picture: ``board_mm`` (N, 3) on the board, ``pixels`` (N, 2)."""
+
+    board_mm: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+
+
+def board_picture(board: Board, px_per_mm: float) -> NDArray[np.uint8]:
+    """The board to print, with a white margin of half a square around it."""
+    side = max(round(board.square_mm * px_per_mm), 8)
+    if board.kind == "charuco":
+        picture = _charuco(board).generateImage((board.columns * side, board.rows * side), marginSize=0)
+    else:
+        squares = np.indices((board.rows, board.columns)).sum(axis=0) % 2
+        picture = np.kron(squares, np.full((side, side), 255)).astype(np.uint8)
+    return np.pad(picture, side // 2, constant_values=255)
+
+
+def save_board(board: Board, path: Path, overwrite: bool = False) -> None:
+    """Write the board as a PNG for printing at 600 dpi.
+
+    Raises:
+        InputError: ``path`` exists and ``overwrite`` is false.
+    """
+    px_per_mm = round(board.square_mm * _PRINT_PX_PER_MM) / board.square_mm
+    pixels_per_meter = round(1000 * px_per_mm)
+    with whole_file(path, overwrite) as partial:
+        _, encoded = cv2.imencode(".png", board_picture(board, px_per_mm))
+        partial.write_bytes(_with_resolution(encoded.tobytes(), pixels_per_meter))
+
+
+def find_corners(image: NDArray[np.uint8], board: Board) -> Corners | None:
+    """The board's inner corners in a picture (H, W) or (H, W, 3), or None where it shows too few."""
+    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    scale = max(math.ceil(DETECTION_WIDTH_PX / gray.shape[1]), 1)
+    large = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found = _charuco_corners(large, board) if board.kind == "charuco" else _chessboard_corners(large, board)
+    if found is None or len(found[1]) < MIN_CORNERS or np.linalg.matrix_rank(found[0] - found[0].mean(axis=0)) < 2:
+        return None
+    return Corners(found[0].astype(float), (found[1].astype(float) + 0.5) / scale - 0.5)
+
+
+def _dictionary(board: Board) -> "cv2.aruco.Dictionary":
+    number = getattr(cv2.aruco, f"DICT_{board.dictionary}", None)
+    if number is None:
+        raise InputError(f"OpenCV knows no marker dictionary {board.dictionary!r}; try 4X4_50, 5X5_100 or 6X6_250.")
+    dictionary = cv2.aruco.getPredefinedDictionary(number)
+    if board.columns * board.rows // 2 > len(dictionary.bytesList):
+        raise InputError(
+            f"A board of {board.columns} x {board.rows} squares needs {board.columns * board.rows // 2} markers, "
+            f"{board.dictionary} has {len(dictionary.bytesList)}; take a larger dictionary."
+        )
+    return dictionary
+
+
+def _charuco(board: Board) -> "cv2.aruco.CharucoBoard":
+    size = (board.columns, board.rows)
+    return cv2.aruco.CharucoBoard(size, board.square_mm, board.marker_mm, _dictionary(board))
+
+
+def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray, NDArray] | None:
+    charuco = _charuco(board)
+    pixels, ids, _, _ = cv2.aruco.CharucoDetector(charuco).detectBoard(gray)
+    if pixels is None or ids is None:
+        return None
+    return np.asarray(charuco.getChessboardCorners())[ids.ravel()], pixels.reshape(-1, 2)
+
+
+def _chessboard_corners(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray, NDArray] | None:
+    columns, rows = board.columns - 1, board.rows - 1
+    whole, pixels = cv2.findChessboardCornersSB(gray, (columns, rows), flags=cv2.CALIB_CB_ACCURACY)
+    if not whole:
+        return None
+    places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), [0], indexing="xy"), axis=-1).reshape(-1, 3)
+    return board.square_mm * places, pixels.reshape(-1, 2)
+
+
+def _with_resolution(png: bytes, pixels_per_meter: int) -> bytes:
+    """The PNG with a pHYs chunk after its header, so that printing at 100 % gives the size in mm."""
+    body = b"pHYs" + struct.pack(">IIB", pixels_per_meter, pixels_per_meter, 1)
+    chunk = struct.pack(">I", 9) + body + struct.pack(">I", zlib.crc32(body))
+    after_header = 8 + 25
+    return png[:after_header] + chunk + png[after_header:]

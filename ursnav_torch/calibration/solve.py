@@ -1,0 +1,187 @@
+"""Corners in pictures become a lens: robust least squares over the lens and every board's pose.
+
+The lens is OpenCV's fisheye: Kannala and Brandt, IEEE TPAMI 28:1335, 2006.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.calibration.board import Board, Corners, find_corners
+from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.errors import InputError
+
+MIN_IMAGES = 4
+_REJECTED_BY_MEDIAN = 3.0  # a picture whose residual exceeds the median so many times is left out
+_LARGEST_FOCAL_ERROR = 0.02  # with all boards parallel, distance and focal length cannot be told apart
+_START_FOV_DEG = (80.0, 120.0, 160.0, 200.0)
+_USUAL_K = np.array([0.2, 0.1, 0.05, 0.02])  # a weak prior, in pixels of residual, tames the lens beyond all corners
+_DARK = 16  # gray value that no lit part of the picture stays below in all pictures
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A lens and how well it explains the pictures.
+
+    Attributes:
+        camera: the lens; ``fov_deg`` is set where the picture is round.
+        rms_px: root mean square distance of corners from where the lens puts them, over the pictures used.
+        rms_by_image: that of each picture used.
+        left_out: why each other picture was not used.
+        corners: of the pictures used.
+        residuals_px: (N, 2) found minus predicted, of all corners used, in the order of ``corners``.
+        seen_deg: the largest angle from the optical axis at which corners were seen; beyond, the lens is extrapolated.
+    """
+
+    camera: Camera
+    rms_px: float
+    rms_by_image: Mapping[str, float]
+    left_out: Mapping[str, str]
+    corners: Mapping[str, Corners]
+    residuals_px: NDArray[np.float64]
+    seen_deg: float
+
+
+def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board) -> Calibration:
+    """Calibrate the fisheye lens that took the pictures.
+
+    Args:
+        images: name to picture (H, W) or (H, W, 3), all of one size, of the board held at different angles and places.
+        board: the board, with the sizes measured on the print.
+
+    Raises:
+        InputError: no pictures, different sizes, too few show the board, or they do not determine a lens.
+    """
+    height, width = _one_size(images)
+    found = {name: find_corners(image, board) for name, image in images.items()}
+    left_out = {name: "shows too little of the board" for name, corners in found.items() if corners is None}
+    used = {name: corners for name, corners in found.items() if corners is not None}
+    while True:
+        _enough(used, left_out, board)
+        camera, residuals = _solve(used, width, height)
+        rms = {name: float(np.sqrt(np.mean(np.sum(r**2, axis=1)))) for name, r in zip(used, residuals, strict=True)}
+        worst = max(rms, key=rms.__getitem__)
+        if rms[worst] <= max(_REJECTED_BY_MEDIAN * float(np.median(list(rms.values()))), 0.3):
+            break
+        left_out[worst] = f"its corners lie {rms[worst]:.2f} px off, far more than the others'"
+        del used[worst]
+    every = np.concatenate(residuals)
+    rays, _ = camera.rays(np.concatenate([corners.pixels for corners in used.values()]))
+    seen_deg = math.degrees(float(np.arccos(np.clip(rays[:, 2], -1, 1)).max()))
+    camera = replace(camera, fov_deg=_round_picture_fov(list(images.values()), camera))
+    return Calibration(camera, float(np.sqrt(np.mean(np.sum(every**2, axis=1)))), rms, left_out, used, every, seen_deg)
+
+
+def _one_size(images: Mapping[str, NDArray[np.uint8]]) -> tuple[int, int]:
+    sizes = {name: image.shape[:2] for name, image in images.items()}
+    if not sizes:
+        raise InputError("There are no pictures to calibrate from.")
+    (first, size), *others = sizes.items()
+    for name, other in others:
+        if other != size:
+            raise InputError(
+                f"{name} is {other[1]} x {other[0]} px, {first} is {size[1]} x {size[0]} px: a calibration needs "
+                "pictures of one size, neither cropped nor resized."
+            )
+    return size[0], size[1]
+
+
+def _enough(used: Mapping[str, Corners], left_out: Mapping[str, str], board: Board) -> None:
+    if len(used) >= MIN_IMAGES:
+        return
+    reasons = "; ".join(f"{name} {why}" for name, why in list(left_out.items())[:5])
+    raise InputError(
+        f"Only {len(used)} of {len(used) + len(left_out)} pictures can be used, at least {MIN_IMAGES} are needed "
+        f"(better 15 or more, at different angles, up to the rim). Sought was a {board.kind} of {board.columns} x "
+        f"{board.rows} squares. Left out: {reasons}."
+    )
+
+
+def _solve(used: Mapping[str, Corners], width: int, height: int) -> tuple[Camera, list[NDArray[np.float64]]]:
+    """The lens that fits best, and found minus predicted pixels (N, 2) of each picture.
+
+    Least squares over the lens and every board's pose, robust against single wrong corners. OpenCV's own solver
+    starts from homographies of undistorted pixels and gives up on boards near the rim of a 160 degree lens.
+    """
+    start = min(
+        (_start(used, width, height, fov) for fov in _START_FOV_DEG), key=lambda x: _cost(x, used, width, height)
+    )
+    fit = least_squares(
+        lambda x: np.concatenate([_residuals(x, used, width, height).ravel(), x[4:8] / _USUAL_K]),
+        start, loss="soft_l1", x_scale="jac", method="trf", max_nfev=100,
+    )  # fmt: skip
+    spread = np.linalg.pinv(fit.jac.T @ fit.jac, rcond=1e-14)[0, 0] ** 0.5
+    residuals = _residuals(fit.x, used, width, height)
+    noise = float(np.sqrt(np.mean(residuals**2)))
+    if not spread * noise < _LARGEST_FOCAL_ERROR * fit.x[0]:
+        raise InputError(
+            f"The {len(used)} pictures do not determine a lens (its focal length, {fit.x[0]:.0f} px, is uncertain by "
+            f"{spread * noise:.0f} px): tilt the board by 20 to 40 degrees in different directions, and fill the "
+            "picture with it in some."
+        )
+    ends = np.cumsum([len(corners.pixels) for corners in used.values()])[:-1]
+    return _lens(fit.x, width, height), np.split(residuals, ends)
+
+
+def _lens(x: NDArray[np.float64], width: int, height: int) -> Camera:
+    fx, fy, cx, cy, k1, k2, k3, k4 = (float(v) for v in x[:8])
+    return Camera("equidistant", width, height, max(fx, 1.0), max(fy, 1.0), cx, cy, (k1, k2, k3, k4))
+
+
+def _residuals(x: NDArray[np.float64], used: Mapping[str, Corners], width: int, height: int) -> NDArray[np.float64]:
+    """(N, 2) found minus predicted pixels; ``x`` holds fx, fy, cx, cy, k1..k4, then each board's turn and place."""
+    poses = x[8:].reshape(-1, 6)
+    R = Rotation.from_rotvec(poses[:, :3]).as_matrix()
+    points = [corners.board_mm @ R[i].T + poses[i, 3:] for i, corners in enumerate(used.values())]
+    predicted, _ = _lens(x, width, height).project(np.concatenate(points))
+    return np.concatenate([corners.pixels for corners in used.values()]) - predicted
+
+
+def _cost(x: NDArray[np.float64], used: Mapping[str, Corners], width: int, height: int) -> float:
+    return float(np.median(np.abs(_residuals(x, used, width, height))))
+
+
+def _start(used: Mapping[str, Corners], width: int, height: int, fov_deg: float) -> NDArray[np.float64]:
+    """An ideal lens of this field of view and the boards' poses that it implies."""
+    camera = equidistant_camera(fov_deg, width, height)
+    poses = [_board_pose(corners, camera) for corners in used.values()]
+    return np.concatenate([[camera.fx, camera.fy, camera.cx, camera.cy, 0, 0, 0, 0], *poses])
+
+
+def _board_pose(corners: Corners, camera: Camera) -> NDArray[np.float64]:
+    """(6,) turn and place of a board before a known lens, from the plane's linear map onto viewing rays."""
+    rays, _ = camera.rays(corners.pixels)
+    middle = corners.board_mm.mean(axis=0)
+    flat = np.column_stack([corners.board_mm[:, :2] - middle[:2], np.ones(len(rays))])
+    x, y, z = (ray[:, None] * flat for ray in rays.T)  # each row of ray x (H flat) = 0, H by rows
+    zero = np.zeros_like(x)
+    rows = np.concatenate([np.hstack([zero, -z, y]), np.hstack([z, zero, -x]), np.hstack([-y, x, zero])])
+    H = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    H /= np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
+    if np.sum(rays @ H[:, 2]) < 0:
+        H = -H
+    U, _, Vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
+    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    return np.concatenate([Rotation.from_matrix(R).as_rotvec(), H[:, 2] - R @ middle])
+
+
+def _round_picture_fov(images: Sequence[NDArray[np.uint8]], camera: Camera) -> float | None:
+    """Full angle of the image circle in degrees where the picture's corners are black in every picture, else None."""
+    gray = [image if image.ndim == 2 else image.max(axis=2) for image in images]
+    brightest = cv2.medianBlur(np.max(gray, axis=0), 3)
+    v, u = np.indices(brightest.shape)
+    radius = np.hypot(u - camera.cx, v - camera.cy)
+    rings = np.bincount(radius.astype(int).ravel(), (brightest > _DARK).ravel()) / np.bincount(
+        radius.astype(int).ravel()
+    )
+    lit = np.flatnonzero(rings > 0.5)
+    if len(lit) == 0 or rings[-1] > 0.5 or lit[-1] + 2 >= len(rings):
+        return None
+    rim = camera.rays([camera.cx + lit[-1] + 0.5, camera.cy])[0]
+    return math.degrees(2 * math.acos(float(np.clip(rim[2], -1, 1))))
