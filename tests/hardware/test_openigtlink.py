@@ -34,8 +34,11 @@ R = Rotation.from_quat([0.1, -0.2, 0.3, 0.9]).as_matrix()
 T = transform_from(R, [1.5, -20.0, 300.0])
 
 
-def raw(kind="TRANSFORM", device="Scope", content=pack_transform(T), **fields):
-    return encode(Message(kind, device, content, 1234.5, **fields))
+CONTENT = pack_transform(T)
+
+
+def raw(kind="TRANSFORM", device="Scope", content=CONTENT):
+    return encode(Message(kind, device, content, 1234.5))
 
 
 @contextlib.contextmanager

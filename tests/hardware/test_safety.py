@@ -60,7 +60,7 @@ def test_numbers_that_are_none_move_nothing(bad):
 def test_impossible_limits_and_times_are_refused():
     with pytest.raises(InputError, match="max_bend_rad must be positive"):
         Limits(max_bend_rad=0)
-    with pytest.raises(InputError, match="between 0 and 0.5"):
+    with pytest.raises(InputError, match=r"between 0 and 0\.5"):
         GrblRobot("x", horizon_s=0.5)
     with pytest.raises(InputError, match="watchdog_s"):
         GrblRobot("x", watchdog_s=0.6)

@@ -59,7 +59,7 @@ class GrblRobot(Robot):
         limits: Limits | None = None,
         horizon_s: float = 0.12,
         watchdog_s: float = 0.5,
-        deadline_s: float = 0.25,
+        deadline_s: float = 0.4,
     ) -> None:
         super().__init__(limits or Limits(), horizon_s, watchdog_s)
         self.port, self.drive, self.deadline_s = port, drive or Drive(), deadline_s

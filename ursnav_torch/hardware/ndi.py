@@ -119,16 +119,17 @@ class NdiTracker(Tracker):
         self.port, self.tool, self.dof, self.deadline_s, self.rate_hz = port, tool, dof, deadline_s, rate_hz
         self._link: SerialLink | None = None
         self._handle = 0
-        self._frame = -1
+        self._frame, self._next_s = -1, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
         """Wait for the tool's next frame; raises as `Tracker.read` does, and DeviceProtocolError."""
         self._check_connected()
         deadline = time.monotonic() + timeout_s
+        time.sleep(max(0.0, min(self._next_s, deadline) - time.monotonic()))
         while True:
             pose = self._poll(deadline)
             if pose.frame != self._frame:
-                self._frame = pose.frame
+                self._frame, self._next_s = pose.frame, time.monotonic() + 0.7 / self.rate_hz
                 return self._sample(pose)
             if time.monotonic() > deadline:
                 raise DeviceTimeoutError(f"{self.port}: the tracker repeats frame {pose.frame}; is it tracking?")

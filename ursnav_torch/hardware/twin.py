@@ -199,7 +199,7 @@ class Twin:
         return step
 
     def _slide(self, T: Array, step: float) -> Array:
-        """A tip that meets a wall at a slant is led along it: shifted inwards by no more than it advances."""
+        """A tip that meets a wall at a slant is led along it: shifted aside by no more than it advances."""
         p = T[:3, 3]
         missing = self.scope.keep_off_mm - float(self._clearance(p[None])[0])
         if missing <= 0:
@@ -207,10 +207,11 @@ class Twin:
         offsets = 0.3 * np.concatenate([np.eye(3), -np.eye(3)])
         around = self._clearance(p + offsets)
         inwards = (around[:3] - around[3:]) / 0.6
-        size = float(np.linalg.norm(inwards))
-        if size > 1e-6:
+        aside = inwards - (inwards @ T[:3, 2]) * T[:3, 2]
+        lean = float(np.linalg.norm(aside))
+        if lean > 0.3:  # else the wall is nearly head-on
             T = T.copy()
-            T[:3, 3] += inwards / size * min(missing + 1e-3, step)
+            T[:3, 3] += aside / lean * min((missing + 1e-3) / lean, step)
         return T
 
     def _pull(self, step: float) -> float:

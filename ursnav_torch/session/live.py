@@ -63,11 +63,11 @@ class Live:
         """All events in the order of their arrival; a snapshot follows the press of its button."""
         threads = self._start()
         latest: dict[type[Any], Any] = {}
-        deadline = time.monotonic() + self.duration_s if self.duration_s else float("inf")
+        timer = threading.Timer(self.duration_s or threading.TIMEOUT_MAX, self._end.set)
+        timer.daemon = True
+        timer.start()
         try:
             while not (self._end.is_set() and self._queue.empty()):
-                if time.monotonic() > deadline:
-                    self._end.set()
                 try:
                     event = self._queue.get(timeout=0.05)
                 except queue.Empty:
@@ -82,8 +82,9 @@ class Live:
                         self._end.set()
         finally:
             self._end.set()
-            if self.rig.robot:
-                self.rig.robot.disarm() if self.rig.robot.is_connected else None
+            timer.cancel()
+            if self.rig.robot and self.rig.robot.is_connected:
+                self.rig.robot.disarm()
             for thread in threads:
                 thread.join(timeout=2.0)
 
