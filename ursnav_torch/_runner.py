@@ -5,6 +5,7 @@ Exit codes: 0 all well, 1 not done, 2 wrong usage, 3 finished but some rows carr
 
 import functools
 import os
+import re
 import sys
 import time
 import warnings
@@ -15,6 +16,7 @@ from typing import Any, NoReturn
 
 import hydra
 from omegaconf import DictConfig
+from omegaconf.errors import MissingMandatoryValue
 
 from ursnav_torch.errors import UrsnavError
 
@@ -73,9 +75,11 @@ def quote_path(argument: str, keys: set[str]) -> str:
     name, equals, value = argument.partition("=")
     if not equals or name.lstrip("+") not in keys or value == "null":
         return argument
-    value = value.replace("${", "\\${").replace("'", "\\'")
-    trailing = len(value) - len(value.rstrip("\\"))
-    return f"{name}='{value}{chr(92) * trailing}'"
+    # To both grammars backslashes count only before what they escape (and at the end): there they are doubled.
+    value = re.sub(r"(\\*)\$\{", r"\1\1\\${", value)
+    value = re.sub(r"(\\*)'", r"\1\1\\'", value)
+    value = re.sub(r"(\\+)\Z", r"\1\1", value)
+    return f"{name}='{value}'"
 
 
 def caller_path(value: Any) -> Path:
@@ -115,6 +119,9 @@ def _run(task: Callable[[Any], int | None], config: DictConfig) -> NoReturn:
             "interrupted: what was finished lies in NAME.partial; the same command goes on from there.", file=sys.stderr
         )
         sys.exit(NOT_DONE)
+    except MissingMandatoryValue as error:
+        print(f"error: {error.full_key}= is missing; give it on the command line (--help shows all).", file=sys.stderr)
+        sys.exit(WRONG_USAGE)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(NOT_DONE)
