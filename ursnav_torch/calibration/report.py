@@ -34,7 +34,10 @@ def summary(result: Calibration) -> str:
         f"fx {camera.fx:.1f}  fy {camera.fy:.1f}  cx {camera.cx:.1f}  cy {camera.cy:.1f}  field of view: {fov}",
         f"corners were seen up to {result.seen_deg:.0f} degrees from the axis; farther out the lens is extrapolated",
     ]
-    return "\n".join(lines + [f"left out: {name}: {why}" for name, why in result.left_out.items()])
+    for why in dict.fromkeys(result.left_out.values()):
+        names = [name for name, reason in result.left_out.items() if reason == why]
+        lines.append(f"left out, {why}: {', '.join(names)}")
+    return "\n".join(lines)
 
 
 def _residual_plot(result: Calibration) -> Figure:

@@ -22,7 +22,7 @@ _REJECTED_BY_MEDIAN = 3.0  # a picture whose residual exceeds the median so many
 _LARGEST_FOCAL_ERROR = 0.02  # with all boards parallel, distance and focal length cannot be told apart
 _START_FOV_DEG = (80.0, 120.0, 160.0, 200.0)
 _USUAL_K = np.array([0.2, 0.1, 0.05, 0.02])  # a weak prior, in pixels of residual, tames the lens beyond all corners
-_DARK = 16  # gray value that no lit part of the picture stays below in all pictures
+_DARK = 16  # gray value that no lit part of the picture stays below in all pictures; or a quarter of the median
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,8 @@ def _enough(used: Mapping[str, Corners], left_out: Mapping[str, str], board: Boa
     raise InputError(
         f"Only {len(used)} of {len(used) + len(left_out)} pictures can be used, at least {MIN_IMAGES} are needed "
         f"(better 15 or more, at different angles, up to the rim). Sought was a {board.kind} of {board.columns} x "
-        f"{board.rows} squares. Left out: {reasons}."
+        f"{board.rows} squares; in pictures of 250 px a marker needs about 12 px, so take few large squares there, or "
+        f"board=chessboard. Left out: {reasons}."
     )
 
 
@@ -177,9 +178,9 @@ def _round_picture_fov(images: Sequence[NDArray[np.uint8]], camera: Camera) -> f
     brightest = cv2.medianBlur(np.max(gray, axis=0), 3)
     v, u = np.indices(brightest.shape)
     radius = np.hypot(u - camera.cx, v - camera.cy)
-    rings = np.bincount(radius.astype(int).ravel(), (brightest > _DARK).ravel()) / np.bincount(
-        radius.astype(int).ravel()
-    )
+    lit_gray = max(_DARK, 0.25 * float(np.median(brightest)))
+    ring = radius.astype(int).ravel()
+    rings = np.bincount(ring, (brightest > lit_gray).ravel()) / np.bincount(ring)
     lit = np.flatnonzero(rings > 0.5)
     if len(lit) == 0 or rings[-1] > 0.5 or lit[-1] + 2 >= len(rings):
         return None
