@@ -23,6 +23,7 @@ from ursnav_torch.hardware import (
     SimulatedRosserialRobot,
     Twin,
     TwinCamera,
+    World,
     build_rig,
 )
 
@@ -33,10 +34,6 @@ def open_space(points):
 
 def picture(T):
     return np.full((4, 4), 100, np.uint8)
-
-
-def make_open_twin(kidney, draw):
-    return Twin(open_space, draw, transform_from(np.eye(3), [0.0, 0.0, 0.0]))
 
 
 class Hands(Gamepad):
@@ -63,9 +60,8 @@ def make_rig(robot=SimulatedGrblRobot, tracker=SimulatedNdiTracker, hands=None):
         robot=partial(robot, twin=None),
         light=partial(RobotLight, robot=None),
         gamepad=hands or Hands(),
-        twin=make_open_twin,
-        kidney="anything",
-        draw=picture,
+        twin=lambda world: Twin(open_space, picture, transform_from(np.eye(3), [0.0, 0.0, 0.0])),
+        world=lambda: World(None, None),
     )
 
 
@@ -154,7 +150,7 @@ def test_a_rig_that_cannot_connect_leaves_nothing_connected():
 
 
 def test_devices_that_need_what_is_not_there_are_refused():
-    with pytest.raises(InputError, match=r"needs hardware\.twin"):
+    with pytest.raises(InputError, match="start from hardware=simulated"):
         build_rig(camera=partial(TwinCamera, twin=None))
     with pytest.raises(InputError, match="there is no robot"):
         build_rig(light=partial(RobotLight, robot=None))

@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import angle_between, check_rigid, transform_from, transform_from_quaternion
-from ursnav_torch.hardware import Drive, EmField, JointRates, Joints, Limits, Scope, Twin, TwinPilot, clamp_rates
+from ursnav_torch.hardware import Drive, EmField, JointRates, Joints, Limits, Scope, Twin, TwinPilot, World, clamp_rates
 from ursnav_torch.hardware.kinematics import tip_transform
 from ursnav_torch.hardware.simulated import make_twin
 from ursnav_torch.hardware.twin import Hysteresis
-from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
 
 DRIVE = Drive()
 START = transform_from(np.eye(3), [0.0, 0.0, 0.0])
@@ -191,14 +190,14 @@ def test_dropouts_come_as_often_as_asked():
 
 
 @pytest.mark.slow
-def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(monkeypatch):
-    kidney = make_phantom_kidney(seed=0)
-    lumen = LumenDistance.from_kidney(kidney)
-    twin = make_twin(kidney, black)
+def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(
+    monkeypatch, phantom, phantom_lumen, renderer
+):
+    twin = make_twin(World(phantom, renderer), lumen=phantom_lumen)
     motors, limits, joints = Motors(twin), Limits(), Joints()
     clock = [0.0]
     monkeypatch.setattr("ursnav_torch.hardware.base.time.monotonic", lambda: clock[0])
-    with TwinPilot(twin, kidney) as pilot:
+    with TwinPilot(twin, phantom) as pilot:
         while not (hands := pilot.read()).quit:
             clock[0] += 0.02
             assert clock[0] < 120
@@ -211,6 +210,6 @@ def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(monke
                 joints.insertion_mm + 0.02 * sent.insertion_mm_s,
             )
             motors.axes = DRIVE.axes_mm(joints)
-            assert lumen.clearance_mm(twin.pose()[None, :3, 3])[0] > 0.5
-    assert pilot.visited == [c.name for c in kidney.calyces]
+            assert phantom_lumen.clearance_mm(twin.pose()[None, :3, 3])[0] > 0.5
+    assert pilot.visited == [c.name for c in phantom.calyces]
     print(f"{len(pilot.visited)} calyces in {clock[0]:.0f} s")

@@ -24,6 +24,7 @@ from ursnav_torch.hardware import (
     TrackerSample,
     Twin,
     TwinCamera,
+    World,
     build_rig,
 )
 from ursnav_torch.session import Live, Recorder, Replay, Snapshot, run_session
@@ -72,9 +73,8 @@ def make_rig(gamepad=None):
         robot=partial(SimulatedGrblRobot, twin=None),
         light=partial(RobotLight, robot=None),
         gamepad=gamepad or Weaver(),
-        twin=lambda kidney, draw: Twin(in_a_tube, draw, transform_from(np.eye(3), [0.0, 0.0, 0.0])),
-        kidney="a tube",
-        draw=draw,
+        twin=lambda world: Twin(in_a_tube, draw, transform_from(np.eye(3), [0.0, 0.0, 0.0])),
+        world=lambda: World(None, None),
     )
 
 

@@ -34,7 +34,7 @@ from ursnav_torch.hardware.igtl_tracker import OpenIgtlTracker
 from ursnav_torch.hardware.kinematics import Drive, Segment, tip_transform
 from ursnav_torch.hardware.ndi import NdiTracker
 from ursnav_torch.hardware.pilot import TwinPilot
-from ursnav_torch.hardware.rig import Control, Rig, RobotLight, build_rig
+from ursnav_torch.hardware.rig import Control, Rig, RobotLight, World, build_rig
 from ursnav_torch.hardware.robot import Robot
 from ursnav_torch.hardware.ros import RosBridge, RosGamepad
 from ursnav_torch.hardware.rosserial_robot import RosserialLight, RosserialRobot
@@ -102,6 +102,7 @@ __all__ = [
     "TwinCamera",
     "TwinPilot",
     "VideoCamera",
+    "World",
     "build_rig",
     "clamp_rates",
     "make_twin",

@@ -47,13 +47,11 @@ class Segment:
         """
         bend = np.asarray(bend_rad, float)
         s = self.length_mm if along_mm is None else along_mm
-        theta = float(np.hypot(*bend)) * s / self.length_mm
-        R = Rotation.from_rotvec([*(bend * s / self.length_mm), 0.0]).as_matrix()
-        if abs(theta) < 1e-6:
-            return transform_from(R, [0.0, 0.0, s])
-        toward = np.array([bend[1], -bend[0]]) / np.hypot(*bend)
-        sideways = s * (1.0 - math.cos(theta)) / theta
-        return transform_from(R, [*(sideways * toward), s * math.sin(theta) / theta])
+        turn = bend * s / self.length_mm
+        theta = float(np.hypot(*turn))
+        R = Rotation.from_rotvec([*turn, 0.0]).as_matrix()
+        sideways = s / 2 * np.sinc(theta / 2 / np.pi) ** 2 * np.array([turn[1], -turn[0]])
+        return transform_from(R, [*sideways, s * np.sinc(theta / np.pi)])
 
     def cable_lengths_mm(self, bend_rad: ArrayLike) -> Array:
         """Lengths (4,) of the cables +x, -x, +y, -y inside the segment at a bend (2,)."""

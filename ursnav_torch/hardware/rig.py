@@ -1,7 +1,7 @@
 """The devices of one set-up, and the cycle that turns the operator's hands into motion and light."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
@@ -25,6 +25,7 @@ from ursnav_torch.hardware.base import (
 from ursnav_torch.hardware.robot import Robot
 from ursnav_torch.hardware.twin import Twin
 from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import Renderer
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,15 @@ class RobotLight(Light):
     def _close(self) -> None: ...
 
 
-#: A device, or a function that makes one when given what only the whole rig knows: ``twin``, ``robot``, ``kidney``.
+@dataclass(frozen=True, slots=True)
+class World:
+    """What a twin lives in: the anatomy and what draws it through the scope's lens."""
+
+    kidney: Kidney
+    renderer: Renderer
+
+
+#: A device, a ``functools.partial`` of one's class that lacks what only the rig knows, or nothing (None or empty).
 Choice = Any
 
 
@@ -100,45 +109,39 @@ def build_rig(
     robot: Choice = None,
     light: Choice = None,
     gamepad: Choice = None,
-    twin: Callable[..., Twin] | None = None,
-    kidney: Kidney | None = None,
-    draw: Callable[..., Any] | None = None,
+    twin: Callable[[World], Twin] | None = None,
+    world: Callable[[], World] | None = None,
 ) -> Rig:
     """Put a rig together.
 
     Args:
-        camera, tracker, robot, light, gamepad: a device, None, or a ``functools.partial`` of a device's class that
-            still lacks ``twin``, ``robot`` or ``kidney`` and is given those of them that its name asks for.
-        twin: makes the digital twin from ``kidney`` and ``draw``; only when a device asks for it.
-        kidney: the anatomy in which the twin lives.
-        draw: picture of a camera at ``T_kidney_camera``.
+        camera, tracker, robot, light, gamepad: devices. A partial is given what it holds as None under the names
+            ``twin``, ``robot`` and ``kidney``.
+        twin: makes the digital twin; called only when a device asks for it.
+        world: makes the anatomy for the twin; called only then.
 
     Raises:
-        InputError: a simulated device is asked for where there is no twin.
+        InputError: a simulated device is asked for where there is no twin or no world.
     """
-    wants_twin = any(isinstance(c, partial) and c.keywords.get("twin", "") is None for c in (camera, tracker, robot))
-    wants_twin = wants_twin or (isinstance(gamepad, partial) and gamepad.keywords.get("twin", "") is None)
-    made = None
-    if wants_twin:
-        if twin is None or kidney is None or draw is None:
-            raise InputError("A simulated device needs hardware.twin, a kidney and a renderer; choose them all.")
-        made = twin(kidney=kidney, draw=draw)
+    choices = (camera, tracker, robot, light, gamepad)
+    simulated = any(isinstance(c, partial) and "twin" in c.keywords and c.keywords["twin"] is None for c in choices)
+    if not simulated:
+        the_world, the_twin = None, None
+    elif twin is None or world is None:
+        raise InputError("A simulated device needs a twin and a kidney to be in; start from hardware=simulated.")
+    else:
+        the_world = world()
+        the_twin = twin(the_world)
+    known: dict[str, Any] = {"twin": the_twin, "kidney": the_world and the_world.kidney}
+    the_robot = _make(robot, known)
+    rest = [_make(choice, known | {"robot": the_robot}) for choice in (camera, tracker, light, gamepad)]
+    return Rig(rest[0], rest[1], the_robot, rest[2], rest[3], the_twin)
 
-    def make(choice: Choice, **known: Any) -> Any:
-        if not isinstance(choice, partial):
-            return choice
-        missing = {name: known[name] for name, value in choice.keywords.items() if value is None and name in known}
-        return choice(**missing)
 
-    the_robot = make(robot, twin=made)
-    return Rig(
-        make(camera, twin=made),
-        make(tracker, twin=made),
-        the_robot,
-        make(light, robot=the_robot, twin=made),
-        make(gamepad, twin=made, kidney=kidney),
-        made,
-    )
+def _make(choice: Choice, known: Mapping[str, Any]) -> Any:
+    if not isinstance(choice, partial):
+        return choice or None
+    return choice(**{name: known[name] for name, value in choice.keywords.items() if value is None and name in known})
 
 
 class Control:

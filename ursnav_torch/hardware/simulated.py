@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.geometry import Array, look_along
@@ -19,38 +19,51 @@ from ursnav_torch.hardware.igtl_server import SimulatedIgtlTracker
 from ursnav_torch.hardware.igtl_tracker import OpenIgtlTracker
 from ursnav_torch.hardware.ndi import NdiTracker
 from ursnav_torch.hardware.ndi_unit import NdiUnit
+from ursnav_torch.hardware.rig import World
 from ursnav_torch.hardware.rosserial_board import RosserialBoard
 from ursnav_torch.hardware.rosserial_robot import RosserialRobot
 from ursnav_torch.hardware.simulated_port import SimulatedPort
 from ursnav_torch.hardware.twin import Scope, Twin
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.rendering import Renderer
+from ursnav_torch.rendering.sensor import severity, simulate
 
 
 def make_twin(
-    kidney: Kidney,
-    draw: Callable[[Array], NDArray[np.uint8]],
+    world: World,
     scope: Scope | None = None,
     em: EmField | None = None,
-    start_mm: ArrayLike | None = None,
-    direction: ArrayLike | None = None,
+    sensor: str | None = None,
+    seed: int = 0,
+    lumen: LumenDistance | None = None,
 ) -> Twin:
-    """A scope that lies withdrawn in a kidney's pelvis.
+    """A scope that lies withdrawn in a kidney's pelvis and looks to the middle of its calyces.
 
     Args:
-        kidney: the anatomy; its lumen's walls stop the scope.
-        draw: picture uint8 of a camera at ``T_kidney_camera`` (4, 4).
+        world: the anatomy, whose walls stop the scope, and what draws it.
         scope: the scope.
         em: the EM tracker's world.
-        start_mm: (3,) where the tip starts, kidney frame; the root of the centerline without it.
-        direction: (3,) where it looks; to the middle of the calyces without it.
+        sensor: preset of what spoils its pictures (``thesis_simulation``, ``thesis_phantom``, ``in_vivo_like``); None
+            for clean ones, gray.
+        seed: of the faults.
+        lumen: the kidney's distances where they are known already.
 
     Raises:
-        InputError: the start is too near a wall or outside.
+        InputError: an unknown preset, or the root of the centerline lies in a wall.
     """
-    start = np.asarray(kidney.centerline.points_mm[0] if start_mm is None else start_mm, float)
-    towards = kidney.tips_mm.mean(axis=0) - start if direction is None else np.asarray(direction, float)
-    lumen = LumenDistance.from_kidney(kidney)
-    return Twin(lumen.clearance_mm, draw, look_along(start, towards), scope, em)
+    start = world.kidney.centerline.points_mm[0]
+    T_kidney_start = look_along(start, world.kidney.tips_mm.mean(axis=0) - start)
+    clearance_mm = (lumen or LumenDistance.from_kidney(world.kidney)).clearance_mm
+    return Twin(clearance_mm, _picture(world.renderer, sensor, seed), T_kidney_start, scope, em)
+
+
+def _picture(renderer: Renderer, sensor: str | None, seed: int) -> Callable[[Array], NDArray[np.uint8]]:
+    """What the scope's camera shows from a pose (4, 4)."""
+    if sensor is None:
+        return lambda T_kidney_camera: renderer.render(T_kidney_camera).image
+    rng = np.random.default_rng(seed)
+    faults = severity(sensor, 0.5, rng)
+    return lambda T_kidney_camera: simulate(renderer, T_kidney_camera, faults, rng)
 
 
 class TwinCamera(LensCamera):

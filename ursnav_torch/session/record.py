@@ -41,10 +41,14 @@ class Recorder:
         overwrite: replace an existing record, or an interrupted one.
 
     Raises:
-        InputError: ``path`` exists, or an interrupted record of that name does.
+        InputError: there is no ``path``, it exists, or an interrupted record of that name does.
     """
 
-    def __init__(self, path: str | Path, config: Mapping[str, Any] | None = None, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: str | Path | None, config: Mapping[str, Any] | None = None, overwrite: bool = False
+    ) -> None:
+        if path is None:
+            raise InputError("A session is to be recorded, but not where; add out=FOLDER.")
         self.path = Path(path)
         self.config = dict(config or {})
         self._overwrite = overwrite

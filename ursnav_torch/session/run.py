@@ -27,6 +27,17 @@ class Summary:
     seconds: float = 0.0
     results: list[Result] = field(default_factory=list)
 
+    def text(self) -> str:
+        """The summary for people to read."""
+        names = {"Frame": "pictures", "TrackerSample": "EM samples", "CommandSample": "commands", "Result": "results",
+                 "Snapshot": "snapshots"}  # fmt: skip
+        counts = ", ".join(f"{self.counts[kind]} {name}" for kind, name in names.items() if kind in self.counts)
+        lost = ", ".join(f"{n} {names[kind]}" for kind, n in self.lost.items())
+        lost = f"lost: {lost}" if lost else "none lost"
+        return f"{self.seconds:.1f} s: {counts or 'nothing'}; {lost}" + (
+            f"; {self.dropped} dropped" if self.dropped else ""
+        )
+
 
 def run_session(
     source: Live | Replay,
