@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -17,15 +18,20 @@ from ursnav_torch.geometry import angle_between
 
 LENS = Camera("equidistant", 250, 250, 90.0, 89.0, 122.0, 126.5, (-0.02, 0.003, 0.0, 0.0), 160.0)
 BOARDS = {"charuco": Board(columns=9, rows=7), "chessboard": Board("chessboard", columns=9, rows=7)}
+COUNTS = {"charuco": 14, "chessboard": 10}
 PX_PER_MM = 20
 FLAGS = ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
+
+
+@lru_cache
+def large_rays(lens: Camera) -> tuple[np.ndarray, np.ndarray]:
+    return lens.resized(3 * lens.width, 3 * lens.height).pixel_rays()
 
 
 def seen(board: Board, R_camera_board: np.ndarray, t_mm: np.ndarray, lens: Camera = LENS) -> np.ndarray:
     """The board on a gray table through ``lens``: every ray's way to the board's plane, three times oversampled."""
     printed = board_picture(board, PX_PER_MM)
-    large = lens.resized(3 * lens.width, 3 * lens.height)
-    rays, mask = large.pixel_rays()
+    rays, mask = large_rays(lens)
     normal = R_camera_board[:, 2]
     with np.errstate(divide="ignore"):
         away = (normal @ t_mm) / (rays @ normal)
@@ -51,7 +57,8 @@ def hand_held(board: Board, seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def pictures() -> dict[str, dict[str, np.ndarray]]:
     return {
-        kind: {f"{i:02d}.png": seen(board, *hand_held(board, i)) for i in range(14)} for kind, board in BOARDS.items()
+        kind: {f"{i:02d}.png": seen(board, *hand_held(board, i)) for i in range(COUNTS[kind])}
+        for kind, board in BOARDS.items()
     }
 
 
@@ -72,7 +79,7 @@ def test_convention_corners_are_where_the_lens_projects_them(
             ends = [end + np.array([board.square_mm, board.square_mm, 0]) for end in ends]
         error = min(np.abs(LENS.project(end @ R.T + t)[0] - corners.pixels).mean() for end in ends)
         assert error < 0.25
-    assert seen_in >= 12
+    assert seen_in >= 9
 
 
 @pytest.mark.parametrize("kind", BOARDS)

@@ -90,6 +90,15 @@ def test_texture_stays_on_the_wall_when_the_camera_turns(renderer: RaycastRender
     assert np.abs(a.normals - surface.normals).max() > 0.05
 
 
+def test_seam_is_thin_and_there_wherever_the_kidney_lies() -> None:
+    for origin in ([0, 0, 0], [-70, 266, -112]):
+        points = (np.array(origin) + rng().uniform(-30, 30, (20000, 3))).astype(np.float32)
+        zero = np.zeros_like(points)
+        surface = Surface(np.arange(20000), zero, zero[:, 0], zero, points, np.eye(3, dtype=np.float32))
+        dark = paint(surface, WallFaults(seed=2, seam=0.8, seam_width_mm=1.0)).color[:, 0] < 0.6
+        assert 0.005 < dark.mean() < 0.05  # about 1 mm in 40 mm
+
+
 def test_noise_has_unit_variance_and_its_slope_is_its_derivative() -> None:
     points = rng().uniform(-40, 40, (20000, 3)).astype(np.float32)
     for values in (solid_noise(points, 2.0, 5), fractal_noise(points, 2.0, 5)):

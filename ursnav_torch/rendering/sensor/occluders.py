@@ -22,9 +22,15 @@ class OccluderFaults:
     bubbles: int = setting(0, 0, 40, "air bubbles, seen as bright rings with a glint")
     bubble_px: float = choice(5.0, "radius of a large bubble; 2-20 px")
     blood: float = setting(0.0, 0, 0.8, "share of light that drifting blood takes, in clouds")
-    fiber: float = setting(0.0, 0, 1, "how far a laser fiber or guidewire reaches from the rim (0) to the center (1)")
+    fiber: float = setting(
+        0.0,
+        0,
+        1,
+        "how far a laser fiber or guidewire reaches from the rim (0) to the center (1); 0.5 is a quarter of the "
+        "screen, the safety distance of Talso et al., J Endourol 30:1269, 2016",
+    )
     fiber_angle_rad: float = choice(0.0, "where it enters, around the image center: the working channel's place")
-    fiber_px: float = choice(10.0, "its width at the rim; a 270 µm fiber 1 mm before a 160 degree lens is about 15 px")
+    fiber_px: float = choice(10.0, "its width at the rim; 200-365 µm cores 1-2 mm before a 160 degree lens are 9-32 px")
     fiber_bgr: tuple[float, float, float] = choice((0.8, 0.5, 0.2), "its color: blue jacket, green, clear or steel")
     fiber_rings: bool = choice(False, "a guidewire's dark and bright windings instead of an even jacket")
     stone: float = setting(0.0, 0, 0.8, "radius of a stone in image radii, before the wall")

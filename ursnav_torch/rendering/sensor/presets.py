@@ -103,7 +103,7 @@ THESIS_PHANTOM: Preset = MappingProxyType({
     "optics.halo_size": Span(0.2, 0.6),
     "optics.halo_angle_rad": _TURN,
     "optics.bloom": Span(0.0, 0.3),
-    "optics.veil": Span(0.1, 0.55),
+    "optics.veil": Span(0.15, 0.7),
     "optics.stripes": Span(1.0, 12.0),
     "optics.stripe_period_px": Span(4.0, 16.0, log=True),
     "optics.stripe_tilt_rad": Span(-0.05, 0.05),

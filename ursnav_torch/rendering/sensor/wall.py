@@ -6,7 +6,6 @@ All of it is fixed to kidney coordinates, so that it stays in place while the ca
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ursnav_torch.rendering.sensor.noise import fractal_noise, noise_and_slope, solid_noise
 from ursnav_torch.rendering.sensor.settings import check_settings, choice, setting
@@ -14,6 +13,7 @@ from ursnav_torch.rendering.sensor.surface import Floats, Surface
 
 #: The share of blue, green and red light that a layer of blood leaves.
 BLOOD_BGR = np.array([0.30, 0.35, 0.85], np.float32)
+_SEAM_SPACING_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,7 @@ class WallFaults:
     vessel_width_mm: float = choice(0.2, "width of the vessels; 0.1-0.5 mm")
     vessel_spacing_mm: float = choice(5.0, "typical distance between vessels; 3-10 mm")
     redness: float = setting(0.0, 0, 0.6, "share of light lost to blood in congested patches")
-    seam: float = setting(
-        0.0, 0, 1, "darkness of the line where a phantom's printed halves meet, a plane through the kidney (thesis 4)"
-    )
+    seam: float = setting(0.0, 0, 1, "darkness of the line where a phantom's printed parts meet (thesis 4)")
     seam_width_mm: float = choice(0.4, "width of the seam; 0.1-1 mm")
 
     def __post_init__(self) -> None:
@@ -55,14 +53,8 @@ class PaintedWall:
     wetness: Floats
 
 
-def paint(surface: Surface, faults: WallFaults, center_kidney: NDArray[np.floating] | None = None) -> PaintedWall:
-    """The wall's color, relief and wetness at every seen point.
-
-    Args:
-        surface: the seen wall.
-        faults: how it is painted.
-        center_kidney: (3,) mm, a point of the seam's plane; the kidney frame's origin by default.
-    """
+def paint(surface: Surface, faults: WallFaults) -> PaintedWall:
+    """The wall's color, relief and wetness at every seen point."""
     points = surface.points_kidney
     color = np.broadcast_to(np.array(faults.color_bgr, np.float32), points.shape).copy()
     wetness = np.ones(len(points), np.float32)
@@ -76,7 +68,7 @@ def paint(surface: Surface, faults: WallFaults, center_kidney: NDArray[np.floati
         share = faults.vessels * _vessels(points, faults)
         color *= 1 - share[:, None] * (1 - BLOOD_BGR)
     if faults.seam > 0:
-        color *= (1 - faults.seam * _seam(points, faults, center_kidney))[:, None]
+        color *= (1 - faults.seam * _seam(points, faults))[:, None]
     return PaintedWall(color, _bumped(surface, faults), wetness)
 
 
@@ -107,10 +99,12 @@ def _vessels(points: Floats, faults: WallFaults) -> Floats:
     return present * np.exp(-np.square(1.3 * np.abs(field) * scale / (steepness * width_mm)))
 
 
-def _seam(points: Floats, faults: WallFaults, center: NDArray[np.floating] | None) -> Floats:
-    normal = np.random.default_rng(faults.seed + 80).standard_normal(3)
-    offset = np.zeros(3) if center is None else np.asarray(center, float)
-    away_mm = (points - offset.astype(np.float32)) @ (normal / np.linalg.norm(normal)).astype(np.float32)
+def _seam(points: Floats, faults: WallFaults) -> Floats:
+    """0..1: where the wall meets one of the parallel planes at which the print was parted."""
+    rng = np.random.default_rng(faults.seed + 80)
+    normal = rng.standard_normal(3)
+    along = points @ (normal / np.linalg.norm(normal)).astype(np.float32) / _SEAM_SPACING_MM + rng.random()
+    away_mm = _SEAM_SPACING_MM * (along - np.round(along))
     return np.exp(-np.square(2 * away_mm / faults.seam_width_mm)).astype(np.float32)
 
 
