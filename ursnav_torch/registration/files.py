@@ -1,6 +1,5 @@
 """CSV files of registration: landmarks and EM samples."""
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.files import number, read_csv
 from ursnav_torch.geometry import Array
 
 _LANDMARK = ("kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")
@@ -99,10 +99,10 @@ def read_landmarks(path: str | Path) -> Landmarks:
     Raises:
         InputError: the file cannot be read, a column is missing or a value is no number.
     """
-    rows = read_rows(path, _LANDMARK)
+    rows = read_csv(Path(path), _LANDMARK, "landmark")
     table = numbers(rows, _LANDMARK, path)
     axis = tuple(f"em_{name}" for name in _AXIS)
-    has_axis = bool(rows) and set(axis) <= rows[0].keys()
+    has_axis = set(axis) <= rows[0].keys()
     return Landmarks(table[:, 3:], table[:, :3], numbers(rows, axis, path) if has_axis else None)
 
 
@@ -112,9 +112,7 @@ def read_em_samples(path: str | Path) -> EmSamples:
     Raises:
         InputError: the file cannot be read, a column is missing, a value is no number or there is no row.
     """
-    rows = read_rows(path, _POSITION)
-    if not rows:
-        raise InputError(f"{path} holds no EM sample.")
+    rows = read_csv(Path(path), _POSITION, "EM")
     has = rows[0].keys()
     axis = numbers(rows, _AXIS, path) if set(_AXIS) <= has else np.full((len(rows), 3), np.nan)
     length = np.linalg.norm(axis, axis=1, keepdims=True)
@@ -123,44 +121,21 @@ def read_em_samples(path: str | Path) -> EmSamples:
         position_mm=numbers(rows, _POSITION, path),
         axis=axis / np.where(length > 1e-9, length, np.nan),
         t_s=numbers(rows, ("t_s",), path)[:, 0] if "t_s" in has else None,
-        key=tuple(row[key] for row in rows) if key else None,
+        key=tuple((row[key] or "").strip() for row in rows) if key else None,
     )
-
-
-def read_rows(path: str | Path, columns: tuple[str, ...]) -> list[dict[str, str]]:
-    """Rows of a CSV file as dictionaries of stripped text.
-
-    Raises:
-        InputError: the file cannot be read or lacks one of ``columns``.
-    """
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            found = [name.strip() for name in reader.fieldnames or ()]
-            reader.fieldnames = found
-            rows = [{k: (v or "").strip() for k, v in row.items() if k is not None} for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"Cannot read {path}: {error}.") from error
-    missing = [name for name in columns if name not in found]
-    if missing:
-        raise InputError(f"{path} lacks the column(s) {', '.join(missing)}; it has {', '.join(found) or 'none'}.")
-    return rows
 
 
 def numbers(rows: list[dict[str, str]], columns: tuple[str, ...], path: str | Path) -> Array:
     """(N, C) values of some columns; blank is NaN.
 
     Raises:
-        InputError: a value is no number.
+        InputError: a value is not a finite number.
     """
-    table = np.full((len(rows), len(columns)), math.nan)
-    for i, row in enumerate(rows):
-        for j, name in enumerate(columns):
-            try:
-                table[i, j] = float(row[name]) if row[name] else math.nan
-            except ValueError as error:
-                raise InputError(f"{path}, line {i + 2}: {name} is {row[name]!r}, expected a number.") from error
-    return table
+    values = [
+        [number(row, name, Path(path), line) if (row[name] or "").strip() else math.nan for name in columns]
+        for line, row in enumerate(rows, start=2)
+    ]
+    return np.array(values, float).reshape(len(rows), len(columns))
 
 
 def join_names(names: Sequence[str], images: Sequence[str]) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.files import write_json
 from ursnav_torch.geometry import Array, check_rigid, transform_from
 
 
@@ -84,10 +85,10 @@ class Registration:
         """
         return np.sqrt(np.trace(self.error_covariance(points_kidney), axis1=-2, axis2=-1))
 
-    def to_json(self, path: str | Path) -> None:
-        """Write the ``register`` JSON (docs: the runner contract); what is unknown is null."""
+    def to_json(self, path: str | Path, overwrite: bool = True) -> None:
+        """Write the ``register`` JSON, whole or not at all; what is unknown is null."""
         data = {k: _plain(v) for k, v in asdict(self).items()} | {"from": "em", "to": "kidney"}
-        Path(path).write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(Path(path), data, overwrite)
 
     @classmethod
     def from_json(cls, path: str | Path) -> "Registration":
