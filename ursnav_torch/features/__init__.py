@@ -3,6 +3,7 @@
 from ursnav_torch.features.base import NO_MAPS, EdgePoints, Extractor, Features
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
+from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps
 from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
 from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
 
@@ -14,11 +15,14 @@ __all__ = [
     "EdgePoints",
     "Extractor",
     "Features",
+    "PolarGrid",
     "Settings",
     "ThesisExtractor",
     "ThesisSettings",
     "check_image",
     "make_extractor",
+    "polar_grid",
+    "polar_maps",
     "read_image",
     "settings_from_dict",
     "settings_to_dict",

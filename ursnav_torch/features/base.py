@@ -8,6 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ursnav_torch.camera import Camera
+
 
 @dataclass(frozen=True, slots=True)
 class EdgePoints:
@@ -40,15 +42,23 @@ class Features:
         maps: (C, R, A) polar maps, the first the relief, the others pairs of edge directions; empty (0, 0, 0)
             for an extractor that compares points alone.
         edge_image: (H, W) bool, all edges before sampling, to be looked at.
+        fields: (C, h, w) what the maps were sampled from, at the extractor's working size; empty without maps.
     """
 
     edges: EdgePoints
     maps: Tensor
     edge_image: NDArray[np.bool_]
+    fields: Tensor
 
 
 class Extractor(Protocol):
-    """Reduces pictures of one lens to features."""
+    """Reduces pictures of one lens to features.
+
+    Attributes:
+        working_camera: the lens at the working size, in which `Features.fields` are given.
+    """
+
+    working_camera: Camera
 
     def extract(self, image: NDArray[np.uint8], virtual: bool = False) -> Features:
         """Features of a picture (H, W) or (H, W, 3) blue, green, red; ``virtual`` marks a drawn, noiseless one.
@@ -60,4 +70,5 @@ class Extractor(Protocol):
         ...
 
 
+#: Maps and fields of an extractor that compares points alone.
 NO_MAPS = torch.zeros(0, 0, 0)

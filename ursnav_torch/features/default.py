@@ -14,7 +14,7 @@ from ursnav_torch.features.base import Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import blur, flatten, masked_blur, remove_stripes
 from ursnav_torch.features.image import check_image, signal
-from ursnav_torch.features.polar import gradient_map, polar_grid, relief_map
+from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import sample
 
 
@@ -62,14 +62,14 @@ class DefaultExtractor:
     def __init__(self, settings: DefaultSettings, camera: Camera) -> None:
         self.settings, self.camera = settings, camera
         shrink = min(1.0, settings.working_px / min(camera.width, camera.height))
-        self._small = camera.resized(round(camera.width * shrink), round(camera.height * shrink))
-        self._unit = float(min(self._small.width, self._small.height))
+        self.working_camera = camera.resized(round(camera.width * shrink), round(camera.height * shrink))
+        self._unit = float(min(self.working_camera.width, self.working_camera.height))
         self._mask = torch.from_numpy(camera.pixel_rays()[1]).float()
-        inside = torch.from_numpy(self._small.pixel_rays()[1]).float()
+        inside = torch.from_numpy(self.working_camera.pixel_rays()[1]).float()
         self._small_mask = (blur(inside, 1.0) > 0.99).float()
         rim = settings.contour_blur * self._unit * 2 + 1
         self._contour_mask = blur(self._small_mask, rim) > 0.97
-        self._polar = polar_grid(self._small)
+        self._polar = polar_grid(self.working_camera)
 
     def extract(self, image: NDArray[np.uint8], virtual: bool = False) -> Features:
         """See `Extractor.extract`; ``virtual`` makes no difference here."""
@@ -77,15 +77,17 @@ class DefaultExtractor:
         gray = signal(image)
         refuse_blank(gray, self._mask)
         log_image = remove_stripes(torch.log(gray + 8), self._mask)
-        small = resize(log_image[None, None], (self._small.height, self._small.width), antialias=True)[0, 0]
+        small = resize(log_image[None, None], (self.working_camera.height, self.working_camera.width), antialias=True)[
+            0, 0
+        ]
         s, unit, mask = self.settings, self._unit, self._small_mask
         small = masked_blur(small, mask, max(s.relief_blur * unit, 0.5))
         relief = flatten(small, mask, s.relief_reach * unit)
-        slopes = [gradient(masked_blur(relief, mask, b * unit)) for b in s.edge_blurs]
-        maps = [relief_map(relief, self._polar)] + [gradient_map(g * mask, self._polar) for g in slopes]
+        slopes = [gradient(masked_blur(relief, mask, b * unit)) * mask for b in s.edge_blurs]
+        fields = torch.cat([relief[None], *slopes])
         ridge = thin_gradient(relief, s.contour_blur * unit) * self._contour_mask
         edges = self._edges(ridge)
-        scale = (self.camera.width / self._small.width, self.camera.height / self._small.height)
+        scale = (self.camera.width / self.working_camera.width, self.camera.height / self.working_camera.height)
         found = edge_points(edges, gradient(masked_blur(relief, mask, s.contour_blur * unit)), ridge, scale)
         if len(found) < s.min_points:
             raise FeatureError(
@@ -93,7 +95,8 @@ class DefaultExtractor:
             )
         keep = sample(found.points.numpy(), s.points, s.sampling, found.weight.numpy())
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
-        return Features(found.subset(torch.as_tensor(keep)), torch.cat(maps), full)
+        maps = polar_maps(fields, self._polar)[0]
+        return Features(found.subset(torch.as_tensor(keep)), maps, full, fields)
 
     def _edges(self, ridge: Tensor) -> NDArray[np.bool_]:
         on = ridge[ridge > 1e-4]

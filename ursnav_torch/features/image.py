@@ -32,9 +32,11 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise InputError(f"The image {path} cannot be read: {error.strerror}.") from None
     if _cut_short(path, data):
         raise InputError(f"The image {path.name} is cut short ({len(data)} bytes, its end is missing); copy it again.")
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    image = _decode(data) if len(data) else None
     if image is None:
         raise InputError(f"{path.name} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
+    if not np.isfinite(image).all():
+        raise InputError(f"{path.name} holds gray values that are not finite numbers; save it as 8 or 16 bits.")
     return _to_8_bit(image[..., :3] if image.ndim == 3 and image.shape[2] == 4 else image)
 
 
@@ -68,12 +70,23 @@ def signal(image: NDArray[np.uint8]) -> Tensor:
     return x @ (weight / weight.sum())
 
 
+def _decode(data: NDArray[np.uint8]) -> NDArray[np.generic] | None:
+    """The picture in a file's bytes, None where there is none; OpenCV's own words about it stay unsaid."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
 def _to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
-    x = image.astype(np.float64)
+    x = np.maximum(image.astype(np.float64), 0)
     top = float(x.max())
     return np.round(x * (255 / top if top > 0 else 0)).astype(np.uint8)
 

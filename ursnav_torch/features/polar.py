@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
@@ -14,78 +15,98 @@ from ursnav_torch.camera import Camera
 
 @dataclass(frozen=True, slots=True)
 class PolarGrid:
-    """Where the rings lie in a picture.
+    """Where the rings lie in a picture; N grids, one for each of N tilted cameras.
 
     Attributes:
-        grid: (R, A, 2) sampling places in `torch.nn.functional.grid_sample`'s units (align_corners=False).
-        tangent: (R, A) complex, unit direction that leads outward there (x + iy).
+        grid: (N, R, A, 2) sampling places in `torch.nn.functional.grid_sample`'s units (align_corners=False).
+        outward: (N, R, A) complex, the unit direction in the picture that leads outward there (x + iy).
+        inside: (N, R, A) 1.0 where the sample lies in the picture.
         weight: (R, 1) share of the picture's area that a sample of the ring stands for; sums to 1 over all samples.
     """
 
     grid: Tensor
     outward: Tensor
+    inside: Tensor
     weight: Tensor
 
 
-def polar_grid(camera: Camera, rings: int = 20, sectors: int = 72, reach: float = 0.93) -> PolarGrid:
-    """Rings evenly spaced in angle from the optical axis out to ``reach`` of the picture's inscribed circle."""
+def polar_grid(
+    camera: Camera, R_camera_tilted: NDArray[np.float64] | None = None, rings: int = 20, sectors: int = 72,
+    reach: float = 0.93,
+) -> PolarGrid:  # fmt: skip
+    """Rings evenly spaced in angle from the optical axis out to ``reach`` of the picture's inscribed circle.
+
+    Args:
+        camera: the picture's lens.
+        R_camera_tilted: (N, 3, 3) cameras at the same place that look elsewhere: a ray r of theirs is ``R @ r`` here.
+            Their rings are laid over this picture, which shows what they would see; turning needs no depth.
+        rings, sectors: of the map.
+        reach: share of the inscribed circle.
+    """
+    R = np.eye(3)[None] if R_camera_tilted is None else np.asarray(R_camera_tilted, float)
     edge = min(camera.cx, camera.cy, camera.width - 1 - camera.cx, camera.height - 1 - camera.cy)
     side = camera.rays(np.array([camera.cx + edge, camera.cy]))[0]
     theta_max = float(np.arctan2(np.hypot(side[0], side[1]), side[2]))
     if camera.fov_deg is not None:
         theta_max = min(theta_max, np.radians(camera.fov_deg) / 2)
-    theta = (np.arange(rings) + 0.5) / rings * theta_max * reach
-    phi = np.arange(sectors) / sectors * 2 * np.pi
-    ray = np.stack(
-        [
-            np.sin(theta)[:, None] * np.cos(phi),
-            np.sin(theta)[:, None] * np.sin(phi),
-            np.broadcast_to(np.cos(theta)[:, None], (rings, sectors)),
-        ],
-        axis=-1,
-    )
-    pixels, _ = camera.project(ray)
+    theta = (np.arange(rings) + 0.5)[:, None] / rings * theta_max * reach
+    phi = np.arange(sectors)[None] / sectors * 2 * np.pi
+    pixels, inside = camera.project(_turned(_rays(theta, phi), R))
+    farther, _ = camera.project(_turned(_rays(theta + 1e-3, phi), R))
+    out = farther - pixels
+    outward = (out[..., 0] + 1j * out[..., 1]) / np.maximum(np.linalg.norm(out, axis=-1), 1e-12)
     unit = (2 * pixels + 1) / np.array([camera.width, camera.height]) - 1
-    outward = np.broadcast_to(np.exp(1j * phi), (rings, sectors)).copy()
-    weight = np.sin(theta)[:, None]
+    weight = np.sin(theta)
     return PolarGrid(
         torch.from_numpy(unit).float(),
         torch.from_numpy(outward).to(torch.complex64),
+        torch.from_numpy(inside).float(),
         torch.from_numpy(weight / (weight.sum() * sectors)).float(),
     )
 
 
-def sample(fields: Tensor, polar: PolarGrid) -> Tensor:
-    """Fields (C, H, W) on the rings: (C, R, A)."""
-    grid = polar.grid[None]
-    return torch.nn.functional.grid_sample(fields[None], grid, align_corners=False, padding_mode="border")[0]
+def polar_maps(fields: Tensor, polar: PolarGrid) -> Tensor:
+    """Polar maps (N, C, R, A) of a picture's fields (C, H, W): relief, then pairs of gradient d/dx, d/dy.
 
-
-def relief_map(relief: Tensor, polar: PolarGrid) -> Tensor:
-    """Polar map (1, R, A) of a relief (H, W): zero mean, unit length, area-weighted."""
-    return unit_length(centered(sample(relief[None], polar), polar) * polar.weight.sqrt())
-
-
-def gradient_map(gradient: Tensor, polar: PolarGrid, softness: float = 0.9) -> Tensor:
-    """Polar map (2, R, A) of edge directions, from the gradient (2, H, W) (d/dx, d/dy).
-
-    The gradient's angle to the outward direction is doubled, so that bright-to-dark and dark-to-bright are one
-    (an edge has no sign), and its strength saturates at ``softness`` times the picture's median: a normalized
-    gradient field (Haber and Modersitzki, MICCAI 2006), which no change of contrast alters.
+    The relief has zero mean and unit length. A gradient's angle to the outward direction is doubled, so that
+    bright-to-dark and dark-to-bright are one (an edge has no sign), and its strength saturates near the picture's
+    median: a normalized gradient field (Haber and Modersitzki, MICCAI 2006), which no change of contrast alters; each
+    pair has unit length.
     """
-    x, y = sample(gradient, polar)
-    z = torch.complex(x, y) * polar.outward.conj()
+    n, channels = len(polar.grid), len(fields)
+    flat = polar.grid.reshape(1, n * polar.grid.shape[1], *polar.grid.shape[2:])
+    sampled = torch.nn.functional.grid_sample(fields[None], flat, align_corners=False, padding_mode="zeros")[0]
+    sampled = sampled.view(channels, n, *polar.grid.shape[1:3]).transpose(0, 1) * polar.inside[:, None]
+    maps = [_relief(sampled[:, :1], polar)]
+    maps += [_directions(sampled[:, c : c + 2], polar) for c in range(1, channels, 2)]
+    return torch.cat(maps, 1)
+
+
+def _rays(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit rays (R, A, 3) at angles theta (R, 1) from the axis and phi (1, A) around it."""
+    sin, cos = np.sin(theta), np.cos(theta) + 0 * phi
+    return np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=-1)
+
+
+def _turned(rays: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rays (R, A, 3) turned by each of N rotations: (N, R, A, 3)."""
+    return np.einsum("nij,raj->nrai", R, rays)
+
+
+def _relief(relief: Tensor, polar: PolarGrid) -> Tensor:
+    area = polar.weight * polar.inside[:, None]
+    mean = (relief * area).sum((2, 3), keepdim=True) / area.sum((2, 3), keepdim=True).clamp_min(1e-9)
+    return _unit_length((relief - mean) * polar.inside[:, None] * polar.weight.sqrt())
+
+
+def _directions(gradient: Tensor, polar: PolarGrid, softness: float = 0.9) -> Tensor:
+    z = torch.complex(gradient[:, 0], gradient[:, 1]) * polar.outward.conj()
     strength = z.abs()
-    half = softness * strength.median() + 1e-9
+    half = softness * strength[0].median() + 1e-9
     doubled = z * z / (strength * strength + half * half) * polar.weight.sqrt()
-    return unit_length(torch.stack([doubled.real, doubled.imag]))
+    return _unit_length(torch.stack([doubled.real, doubled.imag], 1))
 
 
-def centered(field: Tensor, polar: PolarGrid) -> Tensor:
-    """A polar field (C, R, A) less its area-weighted mean."""
-    return field - (field * polar.weight).sum((1, 2), keepdim=True)
-
-
-def unit_length(field: Tensor) -> Tensor:
-    """A field scaled to Euclidean length 1; a field of nothing stays zero."""
-    return field / field.norm().clamp_min(1e-9)
+def _unit_length(field: Tensor) -> Tensor:
+    """Fields (N, c, R, A) each scaled to Euclidean length 1; a field of nothing stays zero."""
+    return field / field.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None, None]

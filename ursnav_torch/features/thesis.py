@@ -59,7 +59,7 @@ class ThesisExtractor:
     """See `Extractor`. Virtual pictures skip the preprocessing, as in the thesis."""
 
     def __init__(self, settings: ThesisSettings, camera: Camera) -> None:
-        self.settings, self.camera = settings, camera
+        self.settings, self.camera, self.working_camera = settings, camera, camera
         self._mask = camera.pixel_rays()[1]
         size = 2 * settings.rim_px + 1
         framed = np.pad(self._mask.astype(np.uint8), 1)
@@ -84,7 +84,7 @@ class ThesisExtractor:
                 f"The picture has {len(found)} edge points; at least {self.settings.min_points} are needed to match it."
             )
         keep = sample(found.points.numpy(), self.settings.points, self.settings.sampling)
-        return Features(found.subset(torch.as_tensor(keep)), NO_MAPS, thin)
+        return Features(found.subset(torch.as_tensor(keep)), NO_MAPS, thin, NO_MAPS)
 
     def _edges(self, gray: Tensor) -> NDArray[np.bool_]:
         """Canny with the Otsu threshold and a third of it, less the rim and small groups."""

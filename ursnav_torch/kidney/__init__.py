@@ -5,12 +5,13 @@
 """
 
 from ursnav_torch.kidney.anatomy import Calyx, Centerline, Kidney
-from ursnav_torch.kidney.lumen import LumenDistance, observed_calyx
+from ursnav_torch.kidney.lumen import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
 from ursnav_torch.kidney.mesh import load_mesh_kidney
 from ursnav_torch.kidney.phantom import make_phantom_kidney
 from ursnav_torch.kidney.tables import read_calyces, read_centerline, write_calyces, write_centerline
 
 __all__ = [
+    "OBSERVED_WITHIN_MM",
     "Calyx",
     "Centerline",
     "Kidney",

@@ -7,7 +7,6 @@ from ursnav_torch.localization.locate import (
     Localizer,
     Location,
     default_matching,
-    rolled,
 )
 from ursnav_torch.localization.matches import MATCH_COLUMNS, find_images, locate_files, match_row
 
@@ -23,6 +22,5 @@ __all__ = [
     "learn_confidence",
     "locate_files",
     "match_row",
-    "rolled",
     "simulated_queries",
 ]

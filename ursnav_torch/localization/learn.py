@@ -79,7 +79,7 @@ def learn_confidence(
                 ranking = localizer.rank(localizer.features(image))
             except FeatureError:
                 continue
-            seen = evidence(ranking.distance, localizer.calyx_of(ranking.views))
+            seen = evidence(ranking.distance, localizer.calyces(ranking))
             numbers.append(seen.numbers())
             right.append(seen.calyx == calyx)
     learned = fit(np.array(numbers), np.array(right))

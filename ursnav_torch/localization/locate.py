@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import Features
-from ursnav_torch.geometry import transform_from
+from ursnav_torch.features import Features, polar_grid, polar_maps
+from ursnav_torch.geometry import angle_between, transform_from
+from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance
 from ursnav_torch.localization.confidence import Confidence, evidence
-from ursnav_torch.localization.scan import RollScan
+from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.localization.shape import ShapeStage
 from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext, one_thread_an_operation
 from ursnav_torch.vid import Vid
@@ -40,6 +41,8 @@ class LocalizationSettings:
         relief_weight: weight of the relief's correlation; 0 compares no intensities at all.
         direction_weight: weight of the edge directions' correlation, shared by its channels.
         shape_weight: weight of the shape distance.
+        tilted: views that the first scan, untilted, passes on to the scan at all tilts.
+        tilt_step_deg, tilt_rounds: tilts tried: rings of directions this far apart around the picture's own.
         candidates: views that the scan passes on to shape matching.
         keep: candidates named in the answer.
         accept: a confidence below this is "unsure".
@@ -47,8 +50,11 @@ class LocalizationSettings:
 
     relief_weight: float = 1.0
     direction_weight: float = 2.0
-    shape_weight: float = 3.0
-    candidates: int = 64
+    shape_weight: float = 2.0
+    tilted: int = 256
+    tilt_step_deg: float = 4.0
+    tilt_rounds: int = 3
+    candidates: int = 32
     keep: int = 5
     accept: float = 0.7
 
@@ -114,12 +120,12 @@ class Ranking:
     Attributes:
         views: (K,) views compared, best first.
         distance: (K,) ascending.
-        roll: (K,) radians.
+        R_view_query: (K, 3, 3) how the picture's camera is turned against each view's.
     """
 
     views: Tensor
     distance: Tensor
-    roll: Tensor
+    R_view_query: Array
 
 
 class Localizer:
@@ -141,7 +147,8 @@ class Localizer:
         self.vid, self.settings = vid, settings or LocalizationSettings()
         self._extractor = vid.extractor()
         self._shape = ShapeStage(vid.features, vid.camera, matching or default_matching())
-        self._calyx = torch.from_numpy(vid.calyx)
+        lumen = LumenDistance.from_kidney(vid.kidney)
+        self._near = lumen.to_calyces(vid.T_kidney_camera[:, :3, 3]) <= OBSERVED_WITHIN_MM * vid.kidney.scale
         self._confidence = Confidence.from_calibration(vid.calibration)
         s, channels = self.settings, vid.features.maps.shape[1]
         self._scan: RollScan | None = None
@@ -149,6 +156,8 @@ class Localizer:
             weight = torch.full((channels,), s.direction_weight * 2 / max(channels - 1, 1))
             weight[0] = s.relief_weight
             self._scan = RollScan(vid.features.maps, weight)
+        self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
+        self._grids = polar_grid(self._extractor.working_camera, self._tilts)
 
     def locate(self, image: NDArray[np.uint8]) -> Location:
         """The place of a picture (H, W) or (H, W, 3) blue, green, red, uint8, taken through the VID's lens.
@@ -161,9 +170,10 @@ class Localizer:
         with torch.inference_mode(), one_thread_an_operation():
             features = self.features(image)
             ranking = self.rank(features)
-            seen = evidence(ranking.distance, self.calyx_of(ranking.views))
+            seen = evidence(ranking.distance, self.calyces(ranking))
         confidence = self._confidence.probability(seen)
-        candidates = tuple(self._candidate(ranking, i) for i in self._best(ranking, seen.calyx))
+        poses, rows = self._poses(ranking), self._best(self.calyces(ranking), seen.calyx)
+        candidates = tuple(Candidate(int(ranking.views[i]), float(ranking.distance[i]), poses[i]) for i in rows)
         best = candidates[0]
         return Location(
             seen.calyx,
@@ -182,9 +192,15 @@ class Localizer:
         """Features of a picture, as `locate` extracts them; the same errors."""
         return self._extractor.extract(image)
 
-    def calyx_of(self, views: Tensor) -> Tensor:
-        """Calyx indices (K,) that views (K,) observe, -1 for none."""
-        return self._calyx[views]
+    def calyces(self, ranking: Ranking) -> Tensor:
+        """Calyx indices (K,) that the picture's camera observes from where each ranked view has it, -1 for none.
+
+        The rule of `kidney.observed_calyx`, with the distances along the lumen of the views' own places.
+        """
+        T = self._poses(ranking)
+        angle = angle_between(self.vid.kidney.tips_mm[None] - T[:, None, :3, 3], T[:, None, :3, 2])
+        near = self._near[ranking.views.numpy()]
+        return torch.from_numpy(np.where(near.any(1), np.where(near, angle, np.inf).argmin(1), -1))
 
     def rank(self, features: Features) -> Ranking:
         """The VID's nearest views to a picture's features."""
@@ -192,27 +208,35 @@ class Localizer:
         if self._scan is None or not features.maps.numel():
             distance = self._shape.everywhere(features.edges)
             views = distance.topk(min(s.candidates, len(distance)), largest=False).indices
-            return Ranking(views, distance[views], torch.zeros(len(views)))
-        scan = self._scan.scan(features.maps)
-        views = scan.score.topk(min(s.candidates, len(scan.score))).indices
+            return Ranking(views, distance[views], np.broadcast_to(np.eye(3), (len(views), 3, 3)))
+        straight = self._scan.scan(features.maps[None])
+        views = straight.score.topk(min(s.tilted, len(straight.score))).indices
+        scan = self._scan.scan(polar_maps(features.fields, self._grids), views)
+        best = scan.score.topk(min(s.candidates, len(views))).indices
+        views, R = views[best], self._turns(scan.tilt[best], scan.roll[best])
         maps_weight = s.relief_weight + s.direction_weight
-        distance = maps_weight - scan.score[views]
+        distance = maps_weight - scan.score[best]
         if s.shape_weight > 0:
-            distance = distance + s.shape_weight * self._shape.at_rolls(features.edges, views, scan.roll[views])
+            distance = distance + s.shape_weight * self._shape.turned(features.edges, views, R)
         distance, order = (distance / (maps_weight + s.shape_weight)).sort()
-        return Ranking(views[order], distance, scan.roll[views][order])
+        return Ranking(views[order], distance, R[order.numpy()])
 
-    def _best(self, ranking: Ranking, calyx: int) -> list[int]:
+    def _turns(self, tilt: Tensor, roll: Tensor) -> Array:
+        """Rotations (K, 3, 3) R_view_query: how the query's camera is turned against each view's."""
+        return _roll_matrices(roll.numpy()) @ np.swapaxes(self._tilts[tilt.numpy()], 1, 2)
+
+    def _best(self, calyces: Tensor, calyx: int) -> list[int]:
         """Rows of the ranking to name: first the best of the calyx decided on, then the best of all."""
-        first = int((self._calyx[ranking.views] == calyx).nonzero()[0])
-        return [first, *[i for i in range(len(ranking.views)) if i != first]][: self.settings.keep]
+        first = int((calyces == calyx).nonzero()[0])
+        return [first, *[i for i in range(len(calyces)) if i != first]][: self.settings.keep]
 
-    def _candidate(self, ranking: Ranking, row: int) -> Candidate:
-        view, roll = int(ranking.views[row]), float(ranking.roll[row])
-        return Candidate(view, float(ranking.distance[row]), self.vid.T_kidney_camera[view] @ rolled(roll))
+    def _poses(self, ranking: Ranking) -> Array:
+        """T_kidney_camera (K, 4, 4) of the picture, from each ranked view."""
+        return self.vid.T_kidney_camera[ranking.views.numpy()] @ transform_from(ranking.R_view_query, np.zeros(3))
 
 
-def rolled(roll: float) -> Array:
-    """Transform (4, 4) of a camera turned by ``roll`` radians about its optical axis, x towards y."""
-    c, s = np.cos(roll), np.sin(roll)
-    return transform_from([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], np.zeros(3))
+def _roll_matrices(roll: NDArray[np.float32]) -> Array:
+    """Rotations (K, 3, 3) about the optical axis by angles (K,) in radians, x towards y."""
+    c, s, zero, one = np.cos(roll), np.sin(roll), np.zeros(len(roll)), np.ones(len(roll))
+    rows = [np.stack(row, -1) for row in ([c, -s, zero], [s, c, zero], [zero, zero, one])]
+    return np.stack(rows, axis=1).astype(float)

@@ -1,8 +1,15 @@
-"""Scanning the whole VID at every roll: polar maps correlated over their shift by FFT."""
+"""Scanning the VID at every roll and at small tilts: polar maps correlated over their shift by FFT.
+
+Turning a camera on the spot changes its picture in a way that needs no depth, so a view stands for all directions
+near its own: the VID has to be dense in places, not in directions.
+"""
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 #: Frequencies around the axis that are kept; the maps hold nothing finer than 360 / 24 = 15 degrees of detail.
@@ -11,14 +18,16 @@ FREQUENCIES = 24
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """How well each view's maps fit a query's, at the roll that suits it best.
+    """How well views' maps fit a query's, at the tilt and roll that suit each best.
 
     Attributes:
-        score: (V,) weighted sum of the channels' correlations at that roll; 1 is a perfect fit.
-        roll: (V,) radians in [-pi, pi): ``T_kidney_query = T_kidney_view @ Rz(roll)``.
+        score: (K,) weighted sum of the channels' correlations.
+        tilt: (K,) int64, row of the query's maps.
+        roll: (K,) radians in [-pi, pi): ``T_kidney_tilted = T_kidney_view @ Rz(roll)``.
     """
 
     score: Tensor
+    tilt: Tensor
     roll: Tensor
 
 
@@ -27,7 +36,7 @@ class RollScan:
 
     Args:
         maps: (V, C, R, A) polar maps, each channel group of unit length.
-        weight: (C,) weight of each channel's correlation; they are scaled to sum to 1 over channel groups.
+        weight: (C,) weight of each channel's correlation.
 
     Memory: 8 V C R F bytes for F = 24 frequencies (42 MB for 2,160 views of 5 x 20 rings).
     """
@@ -35,23 +44,36 @@ class RollScan:
     def __init__(self, maps: Tensor, weight: Tensor) -> None:
         self._sectors = maps.shape[-1]
         self._weight = weight
-        kept = min(FREQUENCIES, self._sectors // 2)
-        spectrum = torch.fft.rfft(maps.float())[..., :kept].flatten(1, 2).permute(2, 0, 1)
+        self._kept = min(FREQUENCIES, self._sectors // 2)
+        spectrum = torch.fft.rfft(maps.float())[..., : self._kept].flatten(1, 2).permute(2, 0, 1)
         self._spectrum = torch.view_as_real(spectrum.contiguous()).flatten(2)
 
     def __len__(self) -> int:
         return self._spectrum.shape[1]
 
-    def scan(self, maps: Tensor) -> ScanResult:
-        """Compare a query's maps (C, R, A) with every view's."""
-        kept = self._spectrum.shape[0]
-        query = torch.fft.rfft(maps.float() * self._weight[:, None, None])[..., :kept].flatten(0, 1).T
-        columns = torch.stack([torch.view_as_real(query), torch.view_as_real(-1j * query)], -1).flatten(1, 2)
-        product = torch.bmm(self._spectrum, columns)
-        over_shift = torch.fft.irfft(torch.complex(product[..., 0], -product[..., 1]).T, n=self._sectors)
-        score, shift = over_shift.max(1)
-        around = torch.stack([over_shift.gather(1, ((shift + d) % self._sectors)[:, None])[:, 0] for d in (-1, 1)])
-        bend = (around[0] - 2 * score + around[1]).clamp(max=-1e-9)
-        fine = shift + (0.5 * (around[0] - around[1]) / bend).clamp(-0.5, 0.5)
+    def scan(self, maps: Tensor, views: Tensor | None = None) -> ScanResult:
+        """Compare a query's maps (N, C, R, A), one row a tilt, with views (K,), or all when None."""
+        query = torch.fft.rfft(maps.float() * self._weight[:, None, None])[..., : self._kept].flatten(1, 2)
+        query = query.permute(2, 1, 0)  # (F, C R, N)
+        columns = torch.stack([torch.view_as_real(query), torch.view_as_real(-1j * query)], -1)  # (F, CR, N, 2, 2)
+        columns = columns.permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)  # (F, CR 2, N 2)
+        spectrum = self._spectrum if views is None else self._spectrum[:, views]
+        product = torch.bmm(spectrum, columns).view(self._kept, -1, len(maps), 2)
+        over_shift = torch.fft.irfft(torch.complex(product[..., 0], -product[..., 1]).permute(1, 2, 0), n=self._sectors)
+        score, at = over_shift.flatten(1).max(1)
+        tilt, shift = at // self._sectors, at % self._sectors
+        row = over_shift[torch.arange(len(score)), tilt]
+        before, after = (row.gather(1, ((shift + d) % self._sectors)[:, None])[:, 0] for d in (-1, 1))
+        bend = (before - 2 * score + after).clamp(max=-1e-9)
+        fine = shift + (0.5 * (before - after) / bend).clamp(-0.5, 0.5)
         roll = torch.remainder(fine / self._sectors * 2 * torch.pi + torch.pi, 2 * torch.pi) - torch.pi
-        return ScanResult(score, roll)
+        return ScanResult(score, tilt, roll)
+
+
+def tilts(step_deg: float, rounds: int) -> NDArray[np.float64]:
+    """Rotations (N, 3, 3) that tilt a camera by up to ``rounds`` steps every way, the first of them not at all."""
+    turns = [np.zeros(3)]
+    for k in range(1, rounds + 1):
+        for around in np.arange(6 * k) / (6 * k) * 2 * np.pi:
+            turns.append(np.radians(step_deg * k) * np.array([np.cos(around), np.sin(around), 0.0]))
+    return Rotation.from_rotvec(np.array(turns)).as_matrix()

@@ -1,7 +1,8 @@
-"""Shape distance of a picture to chosen views, each at a roll of its own."""
+"""Shape distance of a picture to chosen views, the picture turned for each as the scan found."""
 
-import math
-
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
@@ -9,29 +10,43 @@ from ursnav_torch.features import EdgePoints
 from ursnav_torch.matching import Matcher, Matching
 from ursnav_torch.vid import ViewFeatures
 
-#: The query is turned in steps of this, radians; a shape context's sectors are 30 degrees wide.
-ROLL_STEP = math.radians(7.5)
-
 
 class ShapeStage:
     """The VID's edge points, prepared for shape matching.
 
     Args:
         features: of the VID's views.
-        camera: the lens; rolls turn about its principal point.
+        camera: the lens.
         matching: how shapes are compared.
     """
 
     def __init__(self, features: ViewFeatures, camera: Camera, matching: Matching) -> None:
-        self._center = (camera.cx, camera.cy)
+        self._camera = camera
         self._matcher = Matcher(
-            features.points, features.mask, features.direction, matching, roll_center_px=self._center
+            features.points, features.mask, features.direction, matching, roll_center_px=(camera.cx, camera.cy)
         )
 
     def everywhere(self, edges: EdgePoints) -> Tensor:
         """Distance (V,) to every view, at the rolls that the matching settings name."""
         return self._matcher.distances(edges.points, edges.direction)
 
-    def at_rolls(self, edges: EdgePoints, views: Tensor, rolls: Tensor) -> Tensor:
-        """Distance (K,) to views (K,), the picture turned back by each view's roll (K,) in radians."""
-        return self._matcher.distances_at_rolls(edges.points, views, rolls, ROLL_STEP, edges.direction)
+    def turned(self, edges: EdgePoints, views: Tensor, R_view_query: NDArray[np.float64]) -> Tensor:
+        """Distance (K,) to views (K,), the picture's camera turned by ``R_view_query`` (K, 3, 3) against each."""
+        points, direction = turn_edges(edges, self._camera, R_view_query)
+        return self._matcher.distances_one_by_one(points, direction, views)
+
+
+def turn_edges(edges: EdgePoints, camera: Camera, R: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
+    """Edge points as cameras see them that are turned by R (K, 3, 3): ``ray there = R @ ray here``.
+
+    Returns:
+        points (K, N, 2) px and directions (K, N) radians.
+    """
+    pixels = edges.points.numpy().astype(float)
+    along = np.stack([np.cos(edges.direction.numpy()), np.sin(edges.direction.numpy())], axis=1)
+    here, ahead = camera.rays(pixels)[0], camera.rays(pixels + 0.5 * along)[0]
+    there, _ = camera.project(np.einsum("kij,nj->kni", R, here))
+    beyond, _ = camera.project(np.einsum("kij,nj->kni", R, ahead))
+    step = beyond - there
+    direction = np.remainder(np.arctan2(step[..., 1], step[..., 0]), np.pi)
+    return torch.from_numpy(there).float(), torch.from_numpy(direction).float()

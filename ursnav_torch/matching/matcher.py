@@ -116,37 +116,28 @@ class Matcher:
         distances = self._reduce(queries, shares)
         return distances.amin(0).clamp_min_(0.0)
 
-    def distances_at_rolls(
-        self, points: Tensor, views: Tensor, rolls: Tensor, step: float, direction: Tensor | None = None
-    ) -> Tensor:
-        """Distance of a query to chosen views, turned for each by a roll of its own.
+    def distances_one_by_one(self, points: Tensor, direction: Tensor | None, views: Tensor) -> Tensor:
+        """Distances of K queries of the same number of points, each to one view.
 
         Args:
-            points: (Pq, 2) px.
+            points: (K, Pq, 2) px; `settings.roll_deg` plays no part.
+            direction: (K, Pq) edge direction in radians, as the database's, or None.
             views: (K,) int64.
-            rolls: (K,) radians, x towards y, rounded to multiples of `step`; `settings.roll_deg` plays no part.
-            step: radians; a query is prepared once a step that occurs.
-            direction: (Pq,) edge direction in radians, as the database's.
 
         Returns:
-            (K,) float32, lower is nearer; inf for views without points, for all if the query has none.
+            (K,) float32, lower is nearer; inf for views without points, for all if the queries have none.
         """
-        points, direction, _ = compress(points, direction, None, None)
-        shares, out = _shares(points, None), torch.full((len(views),), math.inf)
-        if shares is None:
+        out = torch.full((len(views),), math.inf)
+        if not points.shape[1]:
             return out
-        method = self.settings.method
-        turns = (rolls / step).round().long()
-        for turn_number in turns.unique().tolist():
-            at = (turns == turn_number).nonzero().flatten()
-            p, d = turn(points, direction, turn_number * step, self._roll_center)
-            if isinstance(method, OpenCV):
-                out[at] = method.distances(p, self.points[views[at]], self.mask[views[at]])
-                continue
-            query = self.views.query(p, d, None)
-            mask = self.mask[views[at]]
-            out[at] = method.reduce(self.views.costs_of(query, views[at]), mask, shares).clamp_min(0.0)
-        return out.masked_fill_(self._empty[views], math.inf)
+        method, shares = self.settings.method, torch.full((points.shape[1],), 1 / points.shape[1])
+        if isinstance(method, OpenCV):
+            pairs = zip(points, views.tolist(), strict=True)
+            return torch.cat([method.distances(p, self.points[[v]], self.mask[[v]]) for p, v in pairs])
+        for i, query in enumerate(self.views.queries(points, direction)):
+            view = slice(int(views[i]), int(views[i]) + 1)
+            out[i] = method.reduce(self.views.costs(query, view), self.mask[view], shares)[0]
+        return out.clamp_min_(0.0).masked_fill_(self._empty[views], math.inf)
 
     def match(
         self,

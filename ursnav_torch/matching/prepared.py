@@ -60,6 +60,13 @@ class PreparedViews:
             pair_cost.position_query(points - self._origin, self.cost),
         )
 
+    def queries(self, points: Tensor, direction: Tensor | None) -> list[PreparedQuery]:
+        """Prepare K queries of as many points each: points (K, Pq, 2) px, direction (K, Pq) radians."""
+        histograms = describe(points, torch.ones(points.shape[:2], dtype=torch.bool), self.descriptor, direction)
+        features = pair_cost.query_features(histograms, direction, self.cost)
+        position = pair_cost.position_query(points - self._origin, self.cost)
+        return [PreparedQuery(*rows) for rows in zip(histograms, features, position, strict=True)]
+
     def costs(self, query: PreparedQuery, part: slice) -> Tensor:
         """Costs (Pq, K, P) of the query's points against the views of a slice; ABSENT and more at no point.
 

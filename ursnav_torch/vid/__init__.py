@@ -3,11 +3,13 @@
 from ursnav_torch.vid.base import Vid, ViewFeatures
 from ursnav_torch.vid.build import build_vid
 from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
+from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_views
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
 from ursnav_torch.vid.store import POSE_COLUMNS, load_vid, pose_cells, poses_from_rows, save_vid
 
 __all__ = [
     "POSE_COLUMNS",
+    "CollectedViews",
     "MakeRenderer",
     "Plan",
     "PlanSettings",
@@ -15,10 +17,12 @@ __all__ = [
     "Vid",
     "ViewFeatures",
     "build_vid",
+    "export_thesis",
     "load_vid",
     "pack",
     "plan_views",
     "pose_cells",
     "poses_from_rows",
+    "read_views",
     "save_vid",
 ]

@@ -4,10 +4,13 @@ import hashlib
 import json
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,7 @@ from ursnav_torch.files import Progress, check_output, commit, no_progress, part
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import MakeRenderer, Studio, join, load_features, save_features
+from ursnav_torch.vid.exchange import CollectedViews
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
 from ursnav_torch.vid.store import load_vid, save_vid
 
@@ -34,7 +38,7 @@ def build_vid(
     camera: Camera,
     settings: Settings,
     make_renderer: MakeRenderer,
-    plan: PlanSettings,
+    plan: PlanSettings | CollectedViews,
     out: Path,
     *,
     overwrite: bool = False,
@@ -48,7 +52,7 @@ def build_vid(
         kidney, camera: what to draw, through which lens.
         settings: of the features.
         make_renderer: called as ``make_renderer(mesh, camera)`` in every worker process.
-        plan: which views.
+        plan: which views to draw, or views collected elsewhere, whose pictures are taken as they are.
         out: the folder to be made.
         overwrite: replace what stands there.
         workers: processes; all cores when None, none besides this one when 1.
@@ -57,13 +61,15 @@ def build_vid(
             calibration.
 
     Raises:
-        InputError: ``out`` exists, or a calyx has no room for the scope.
+        InputError: ``out`` exists, a calyx has no room for the scope, or collected views do not fit kidney or lens.
     """
     check_output(out, overwrite)
-    views = plan_views(kidney, LumenDistance.from_kidney(kidney), plan)
+    lumen = LumenDistance.from_kidney(kidney)
+    views = plan_views(kidney, lumen, plan) if isinstance(plan, PlanSettings) else plan.plan(kidney, lumen)
+    pictures = () if isinstance(plan, PlanSettings) else plan.pictures
     work = partial_path(out)
-    _prepare(work, _fingerprint(kidney, camera, settings, make_renderer, views))
-    studio = Studio(kidney.mesh, camera, settings, make_renderer)
+    studio = Studio(kidney.mesh, camera, settings, make_renderer, pictures)
+    _prepare(work, _fingerprint(studio, views))
     with progress(len(views.calyx), "views") as advance:
         _draw_all(studio, views.T_kidney_camera, work, workers or os.cpu_count() or 1, advance)
     shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
@@ -97,10 +103,11 @@ def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, workers: int, 
             todo.append((shard, start, T[start : start + SHARD]))
     workers = min(workers, len(todo))
     if workers <= 1:
-        for task in todo:
-            advance(draw_shard(studio, work, *task))
+        with _one_thread():
+            for task in todo:
+                advance(draw_shard(studio, work, *task))
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
         pending = {pool.submit(draw_shard, studio, work, *task) for task in todo}
         try:
             for done in _as_they_end(pending):
@@ -130,14 +137,37 @@ def _shard_path(work: Path, shard: int) -> Path:
     return work / "shards" / f"{shard:05d}.safetensors"
 
 
-def _one_thread() -> None:
+def _start_worker() -> None:
+    """One thread a worker; the first process alone answers Ctrl-C, and no worker outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
-def _fingerprint(kidney: Kidney, camera: Camera, settings: Settings, make_renderer: MakeRenderer, views: Plan) -> str:
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Operations on pictures are too small to share, and as many threads as in a worker give the same bytes."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _fingerprint(studio: Studio, views: Plan) -> str:
     """Changes when any input of the drawing does."""
     digest = hashlib.sha256()
-    for array in (kidney.mesh.vertices, kidney.mesh.faces, views.T_kidney_camera):
+    for array in (studio.mesh.vertices, studio.mesh.faces, views.T_kidney_camera):
         digest.update(np.ascontiguousarray(array).tobytes())
-    plain = {"camera": camera.to_dict(), "features": settings_to_dict(settings), "renderer": repr(make_renderer)}
-    return json.dumps(plain | {"arrays": digest.hexdigest()}, sort_keys=True)
+    for picture in studio.pictures:
+        digest.update(hashlib.sha256(picture.read_bytes()).digest())
+    plain = {"camera": studio.camera.to_dict(), "features": settings_to_dict(studio.settings)}
+    return json.dumps(plain | {"renderer": repr(studio.make_renderer), "arrays": digest.hexdigest()}, sort_keys=True)

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.errors import FeatureError
-from ursnav_torch.features import NO_MAPS, EdgePoints, Features, Settings, make_extractor
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import NO_MAPS, EdgePoints, Features, Settings, make_extractor, read_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.rendering import Renderer, View
 from ursnav_torch.vid.base import ViewFeatures, image_name
@@ -26,12 +27,13 @@ _FIELDS = ("points", "mask", "direction", "weight", "points_kidney", "maps")
 
 @dataclass(frozen=True, slots=True)
 class Studio:
-    """All that is needed to draw views, on this machine or another."""
+    """All that is needed to draw views in another process; ``pictures``, where given, stand in for what is drawn."""
 
     mesh: trimesh.Trimesh
     camera: Camera
     settings: Settings
     make_renderer: MakeRenderer
+    pictures: tuple[Path, ...] = ()
 
     def draw(self, T_kidney_camera: Array, first: int, images: Path) -> ViewFeatures:
         """Draw poses (N, 4, 4), write their pictures as views ``first``... into a folder, return their features."""
@@ -39,11 +41,12 @@ class Studio:
         rows = []
         for number, T in enumerate(T_kidney_camera):
             view = renderer.render(T)
-            cv2.imwrite(str(images / image_name(first + number)), view.image)
+            image = read_image(self.pictures[first + number]) if self.pictures else view.image
+            cv2.imwrite(str(images / image_name(first + number)), image)
             try:
-                features = extractor.extract(view.image, virtual=True)
+                features = extractor.extract(image, virtual=True)
             except FeatureError:  # a wall without relief: the view stays, and never matches
-                features = _no_features(view.image.shape)
+                features = _no_features(image.shape)
             rows.append((features, wall_points(features.edges, view, self.camera, T)))
         return pack(rows, self.settings.points)
 
@@ -94,11 +97,18 @@ def save_features(path: Path, features: ViewFeatures) -> None:
 
 
 def load_features(path: Path) -> ViewFeatures:
-    """Read `save_features`'s file, memory-mapped."""
-    data = load_file(str(path))
-    return ViewFeatures(*(data[name] for name in _FIELDS))
+    """Read `save_features`'s file, memory-mapped.
+
+    Raises:
+        InputError: damaged, or not such a file.
+    """
+    try:
+        data = load_file(str(path))
+        return ViewFeatures(*(data[name] for name in _FIELDS))
+    except (SafetensorError, KeyError, OSError) as error:
+        raise InputError(f"{path} is damaged ({error}); copy it again or build the VID again.") from None
 
 
 def _no_features(shape: tuple[int, ...]) -> Features:
     nothing = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
-    return Features(nothing, NO_MAPS, np.zeros(shape[:2], bool))
+    return Features(nothing, NO_MAPS, np.zeros(shape[:2], bool), NO_MAPS)
