@@ -34,7 +34,7 @@ from ursnav_torch.hardware.igtl_tracker import OpenIgtlTracker
 from ursnav_torch.hardware.kinematics import Drive, Segment, tip_transform
 from ursnav_torch.hardware.ndi import NdiTracker
 from ursnav_torch.hardware.pilot import TwinPilot
-from ursnav_torch.hardware.rig import Control, Rig, RobotLight, World, build_rig
+from ursnav_torch.hardware.rig import LATER, Control, Rig, RobotLight, World, build_rig
 from ursnav_torch.hardware.robot import Robot
 from ursnav_torch.hardware.ros import RosBridge, RosGamepad
 from ursnav_torch.hardware.rosserial_robot import RosserialLight, RosserialRobot
@@ -51,6 +51,7 @@ from ursnav_torch.hardware.surgery_ndi import SurgeryNdiTracker
 from ursnav_torch.hardware.twin import Scope, Twin
 
 __all__ = [
+    "LATER",
     "Camera",
     "CommandSample",
     "Control",

@@ -99,6 +99,8 @@ class World:
     renderer: Renderer
 
 
+#: Stands, in a ``functools.partial`` of a device, for what the rig fills in; ``null`` in a config.
+LATER: Any = None
 #: A device, a ``functools.partial`` of one's class that lacks what only the rig knows, or nothing (None or empty).
 Choice = Any
 
@@ -115,7 +117,7 @@ def build_rig(
     """Put a rig together.
 
     Args:
-        camera, tracker, robot, light, gamepad: devices. A partial is given what it holds as None under the names
+        camera, tracker, robot, light, gamepad: devices. A partial is given what it holds as `LATER` under the names
             ``twin``, ``robot`` and ``kidney``.
         twin: makes the digital twin; called only when a device asks for it.
         world: makes the anatomy for the twin; called only then.

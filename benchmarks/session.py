@@ -1,0 +1,145 @@
+"""A long simulated session: does anything get lost, does memory grow, does the replay give the same rows?
+
+    python -m benchmarks.session              # ten minutes and the replay
+    python -m benchmarks.session minutes=1
+
+The scope flies through the phantom by its pilot, at 15 pictures, 40 EM samples and 50 commands a second; all of it is
+recorded, pictures are located in a VID of the phantom, and the record is replayed and located again.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._results import Report, overrides
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.errors import FeatureError
+from ursnav_torch.features import DefaultSettings
+from ursnav_torch.hardware import (
+    LATER,
+    Frame,
+    Rig,
+    RobotLight,
+    SimulatedGrblRobot,
+    SimulatedNdiTracker,
+    SimulatedOpenIgtlTracker,
+    TrackerSample,
+    TwinCamera,
+    TwinPilot,
+    World,
+    build_rig,
+    make_twin,
+)
+from ursnav_torch.kidney import make_phantom_kidney
+from ursnav_torch.localization import Localizer, match_row
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.session import Event, Live, Recorder, Replay, Result, run_session
+from ursnav_torch.vid import PlanSettings, build_vid
+
+SETTINGS = {
+    "minutes": 10.0,
+    "lens_px": 250,
+    "sensor": "none",
+    "tracker": "openigtlink",
+    "views_per_calyx": 24,
+    "out": "",
+}
+TRACKERS = {"openigtlink": SimulatedOpenIgtlTracker, "ndi": SimulatedNdiTracker}
+RATES_HZ = {"Frame": 15.0, "TrackerSample": 40.0, "CommandSample": 50.0}
+
+
+def main(arguments: list[str]) -> None:
+    """Run the session, the replay, and print and keep the figures."""
+    settings = overrides(SETTINGS, arguments)
+    report = Report("session", settings)
+    with tempfile.TemporaryDirectory() as folder:
+        _measure(report, settings, Path(folder))
+    print(report.table())
+    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+
+
+def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
+    world, locate = _prepare(settings, folder)
+    memory: list[float] = []
+    rows: list[tuple[int, dict[str, Any]]] = []
+    with _rig(world, settings) as rig, Recorder(folder / "record", settings) as recorder:
+        live = Live(rig, duration_s=60 * settings["minutes"])
+        summary = run_session(live, recorder, locate, _watch(memory, rows), keep_results=False)
+    for kind, rate in RATES_HZ.items():
+        made = summary.counts.get(kind, 0) / summary.seconds
+        report.add("session", f"{kind} a second, {rate:g} wanted", "1/s", [made], n=summary.counts.get(kind, 0))
+        report.add("session", f"{kind} lost", "samples", [float(summary.lost.get(kind, 0))])
+    report.add("session", "events dropped", "events", [float(summary.dropped)])
+    report.add("session", "longest control cycle", "ms", [1e3 * live.longest_cycle_s])
+    settled = memory[min(len(memory) // 5, 60) :]
+    thirds = len(settled) // 3
+    growth = float(np.median(settled[-thirds:]) - np.median(settled[:thirds]))
+    report.add("session", "memory", "MB", settled)
+    report.add("session", "memory, last third less first", "MB", [growth])
+    again: list[tuple[int, dict[str, Any]]] = []
+    begun = time.monotonic()
+    replay = Replay(folder / "record", speed=0)
+    run_session(replay, None, locate, _watch([], again), keep_results=False)
+    same = sum(a == b for a, b in zip(rows, again, strict=False)) if len(rows) == len(again) else 0
+    report.add("replay", "rows that are the same", "%", [100.0 * same / max(len(rows), 1)], n=len(rows))
+    report.add("replay", "damaged items", "items", [float(replay.damaged)])
+    report.add("replay", "seconds", "s", [time.monotonic() - begun])
+
+
+def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, Callable[..., dict[str, Any]]]:
+    """The phantom, what draws it, and what locates its pictures."""
+    kidney = make_phantom_kidney(0, calyces=6)
+    lens = equidistant_camera(160.0, settings["lens_px"], settings["lens_px"])
+    plan = PlanSettings(views_per_calyx=settings["views_per_calyx"], passage_views=settings["views_per_calyx"])
+    localizer = Localizer(build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1))
+
+    def locate(frame: Frame, tracker: TrackerSample | None) -> dict[str, Any]:
+        try:
+            row = match_row(localizer.locate(frame.image))
+        except FeatureError as error:
+            return {"error": str(error)}
+        return {name: value for name, value in row.items() if name != "seconds"}
+
+    return World(kidney, RaycastRenderer(kidney.mesh, lens)), locate
+
+
+def _rig(world: World, settings: dict[str, Any]) -> Rig:
+    sensor = None if settings["sensor"] == "none" else settings["sensor"]
+    return build_rig(
+        camera=partial(TwinCamera, twin=LATER),
+        tracker=partial(TRACKERS[settings["tracker"]], twin=LATER),
+        robot=partial(SimulatedGrblRobot, twin=LATER),
+        light=partial(RobotLight, robot=LATER),
+        gamepad=partial(TwinPilot, twin=LATER, kidney=LATER, rounds=0),
+        twin=partial(make_twin, sensor=sensor),
+        world=lambda: world,
+    )
+
+
+def _watch(memory: list[float], rows: list[tuple[int, dict[str, Any]]]) -> Callable[[Event], None]:
+    """Keep every result's row, and once a second the memory in use in MB."""
+
+    def watch(event: Event) -> None:
+        if isinstance(event, Result):
+            rows.append((event.frame, event.row))
+        elif isinstance(event, Frame) and event.stamp.sequence % 15 == 0:
+            memory.append(_resident_mb())
+
+    return watch
+
+
+def _resident_mb() -> float:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1e3
+    return 0.0
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
