@@ -45,6 +45,7 @@ class LocalizationSettings:
         tilt_step_deg, tilt_rounds: tilts tried: rings of directions this far apart around the picture's own.
         candidates: views that the scan passes on to shape matching.
         keep: candidates named in the answer.
+        refine: whether the pose is refined beyond the nearest view.
         accept: a confidence below this is "unsure".
     """
 
@@ -56,6 +57,7 @@ class LocalizationSettings:
     tilt_rounds: int = 3
     candidates: int = 32
     keep: int = 5
+    refine: bool = False
     accept: float = 0.7
 
     def __post_init__(self) -> None:
