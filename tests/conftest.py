@@ -77,7 +77,7 @@ def picture(vid: Vid, renderer: RaycastRenderer) -> np.ndarray:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
     """``run("match", "vid=...", ...)`` calls a runner in an empty working folder, as ``python -m`` would."""
     work = tmp_path / "caller's folder"
     work.mkdir()
@@ -86,10 +86,10 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
         monkeypatch.chdir(work)
         monkeypatch.setattr(sys, "argv", [f"{name}.py", *overrides])
         monkeypatch.setattr("warnings.formatwarning", lambda *_: "")
-        capsys.readouterr()
+        capfd.readouterr()
         with pytest.raises(SystemExit) as end:
             import_module(f"ursnav_torch.{name}").main()
-        streams = capsys.readouterr()
+        streams = capfd.readouterr()
         code = end.value.code
         return Finished(code if isinstance(code, int) else 0, streams.out, streams.err)
 

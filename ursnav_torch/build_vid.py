@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import caller_path, progress, runner
 
 
-@runner("build_vid")
+@runner("build_vid", paths=("views.path",))
 def main(config: Any) -> None:
     """Instantiate the choices and call `vid.build_vid`."""
     from functools import partial
@@ -14,13 +14,14 @@ def main(config: Any) -> None:
 
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import learn_confidence
-    from ursnav_torch.vid import build_vid
+    from ursnav_torch.vid import PlanSettings, build_vid
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)
     kidney, camera = instantiate(config.kidney), instantiate(config.camera)
     make_renderer, plan = instantiate(config.rendering), instantiate(config.views)
-    learn = partial(learn_confidence, make_renderer=make_renderer, plan=plan) if config.calibrate else None
+    trial = plan if isinstance(plan, PlanSettings) else PlanSettings()
+    learn = partial(learn_confidence, make_renderer=make_renderer, plan=trial) if config.calibrate else None
     vid = build_vid(
         kidney,
         camera,

@@ -46,8 +46,8 @@ def remove_stripes(x: Tensor, mask: Tensor, most: int = 3) -> Tensor:
         phase = 2 * torch.pi * frequency[peak] * torch.arange(len(rows))
         basis = torch.stack([phase.cos(), phase.sin()], 1)
         seen = torch.stack([b - _smooth(b, count, kernel) for b in basis.T], 1) * count.sqrt()[:, None]
-        amplitude = torch.linalg.lstsq(seen, (high * count.sqrt())[:, None]).solution[:, 0]
-        x = x - (basis @ amplitude)[:, None]
+        amplitude = _least_squares(seen, high * count.sqrt())
+        x = x - (basis * amplitude).sum(1)[:, None]
     return x
 
 
@@ -64,6 +64,14 @@ def flatten(log_image: Tensor, mask: Tensor, sigma_px: float, floor: float = 0.0
     detail = (log_image - masked_blur(log_image, mask, sigma_px)) * mask
     contrast = (masked_blur(detail * detail, mask, sigma_px) + floor**2).sqrt()
     return (detail / contrast).clamp(-most, most) * mask
+
+
+def _least_squares(a: Tensor, b: Tensor) -> Tensor:
+    """The x (2,) that brings a (N, 2) @ x nearest to b (N,); LAPACK's differs in the last bit from call to call."""
+    (cc, ss), cs = (a * a).sum(0), a.prod(1).sum()
+    cc, ss = cc + 1e-6 * (cc + ss), ss + 1e-6 * (cc + ss)
+    cb, sb = (a * b[:, None]).sum(0)
+    return torch.stack([ss * cb - cs * sb, cc * sb - cs * cb]) / (cc * ss - cs * cs)
 
 
 def _smooth(rows: Tensor, weight: Tensor, kernel: Tensor) -> Tensor:

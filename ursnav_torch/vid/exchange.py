@@ -49,8 +49,9 @@ class CollectedViews:
         if outside.any():
             raise InputError(
                 f"{outside.sum()} of the {len(outside)} views of {self.path} stand outside the lumen of "
-                f"{kidney.source}, line {int(outside.argmax()) + 2} first: their poses must be in the kidney's own frame; check the "
-                "columns (x_mm: mm, camera axes x right, y down, z forward; x_unity: Unity) and mm_per_unit."
+                f"{kidney.source}, line {int(outside.argmax()) + 2} first: their poses must be in "
+                "the kidney's own frame; check the columns (x_mm: mm, camera axes x right, y down, z forward; "
+                "x_unity: Unity) and mm_per_unit."
             )
         if self.calyx is None:
             return Plan(self.T_kidney_camera, observed_calyx(self.T_kidney_camera, kidney, lumen))
@@ -59,7 +60,8 @@ class CollectedViews:
         if unknown:
             raise InputError(
                 f"{self.path} names the calyces {', '.join(unknown)}; the kidney's are "
-                f"{', '.join(name for name in index if name)}. Give both the same names (kidney.calyces=FILE), or leave the column out."
+                f"{', '.join(name for name in index if name)}. Give both the same names "
+                "(kidney.calyces=FILE), or leave the column out."
             )
         return Plan(self.T_kidney_camera, np.array([index[name] for name in self.calyx], np.int64))
 
