@@ -10,10 +10,10 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
 from ursnav_torch._runner import config_dir
-from ursnav_torch.hardware import Camera, Gamepad, Light, Robot, Tracker
+from ursnav_torch.hardware import Camera, Gamepad, Light, Output, Robot, Tracker
 from ursnav_torch.session import Replay, Snapshot
 
-CONTRACTS = {"camera": Camera, "tracker": Tracker, "robot": Robot, "light": Light, "gamepad": Gamepad}
+CONTRACTS = {"camera": Camera, "tracker": Tracker, "robot": Robot, "light": Light, "gamepad": Gamepad, "output": Output}
 CHOICES = [
     (kind, path.stem) for kind in CONTRACTS for path in sorted((Path(config_dir()) / "hardware" / kind).glob("*.yaml"))
 ]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import transform_from
-from ursnav_torch.hardware import OpenIgtlServer, OpenIgtlTracker
+from ursnav_torch.hardware import OpenIgtlServer, OpenIgtlTracker, SlicerOutput
 from ursnav_torch.hardware.igtl_server import SimulatedIgtlTracker
 from ursnav_torch.hardware.openigtlink import (
     HEADER,
@@ -193,12 +193,24 @@ def test_the_simulated_server_streams_at_its_rate(subscribe_ms):
 
 def test_the_localized_pose_reaches_slicers_client():
     pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
-    with OpenIgtlServer(port=0) as sender:
-        client = pyigtl.OpenIGTLinkClient(port=sender.port)
+    with SlicerOutput(port=0) as output:
+        client = pyigtl.OpenIGTLinkClient(port=output.port)
         try:
-            assert wait_until(lambda: sender.send_pose(T, "CameraToKidney") == 1, 1.0)
+            assert wait_until(lambda: output.publish_pose(T, 1234.5) or client.incoming_messages, 1.0)
             message = client.wait_for_message("CameraToKidney", timeout=1.0)
             np.testing.assert_allclose(message.matrix, T, atol=1e-4)
+            assert message.timestamp == 1234.5
         finally:
             client.stop()
+
+
+def test_clients_that_leave_or_do_not_read_hold_nobody_up():
+    with OpenIgtlServer(port=0) as sender:
+        with socket.create_connection(("127.0.0.1", sender.port)):
+            assert wait_until(lambda: sender.send_pose(T) == 1, 1.0)
         assert wait_until(lambda: sender.send_pose(T) == 0, 1.0)
+        with socket.create_connection(("127.0.0.1", sender.port)):
+            assert wait_until(lambda: sender.send_pose(T) == 1, 1.0)
+            begun = time.monotonic()
+            assert any(sender.send_pose(T) == 0 for _ in range(200_000))  # its buffers are full: dropped
+            assert time.monotonic() - begun < 20

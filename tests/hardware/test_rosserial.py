@@ -227,6 +227,19 @@ def test_stop_needs_acknowledgment_and_a_restarted_board_is_taken_up_again(board
     assert not robot.command(FORWARD, True).sent.is_zero
 
 
+def test_a_board_that_lost_its_power_goes_on_from_where_the_motors_stand(board, robot):
+    robot.arm()
+    robot.command(FORWARD, True)
+    time.sleep(0.3)
+    before = robot.read().joints
+    board.restart()
+    time.sleep(0.1)
+    robot.emergency_stop("power cut")
+    robot.acknowledge()
+    assert before.insertion_mm > 0.4
+    assert robot.read().joints == before
+
+
 def test_the_light_of_an_arduino_of_its_own(board):
     with RosserialLight(board.port.path) as light:
         assert light.set_level(0.5).level == 128 / 255

@@ -1,8 +1,10 @@
 """Sessions from end to end: live with simulated devices, recorded, replayed."""
 
+import io
 import resource
 import time
 import zlib
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +17,7 @@ from ursnav_torch.hardware import (
     Gamepad,
     Note,
     OperatorInput,
+    Output,
     Rig,
     RobotLight,
     SimulatedGrblRobot,
@@ -27,7 +30,7 @@ from ursnav_torch.hardware import (
     World,
     build_rig,
 )
-from ursnav_torch.session import Live, Recorder, Replay, Snapshot, run_session
+from ursnav_torch.session import Live, Recorder, Replay, Snapshot, StatusLine, hold_session, run_session
 
 NOISE = np.random.default_rng(0).integers(0, 60, (250, 250), dtype=np.uint8)
 
@@ -201,3 +204,48 @@ def test_the_robot_is_driven_in_step_whatever_the_reader_is_busy_with():
         summary = run_session(live, on_event=hang)
         assert rig.robot.gate.reason == "disarmed"  # by the end, not by the watchdog
     assert summary.counts["CommandSample"] > 90 and summary.lost == {}
+
+
+class Shown(Output):
+    """Remembers what it was shown."""
+
+    def __init__(self):
+        super().__init__()
+        self.poses, self.images, self.joints = [], [], []
+
+    def _open(self): ...
+    def _close(self): ...
+    def publish_pose(self, T_kidney_camera, t_wall_s):
+        self.poses.append(T_kidney_camera)
+
+    def publish_image(self, frame):
+        self.images.append(frame)
+
+    def publish_joints(self, joints, t_wall_s):
+        self.joints.append(joints)
+
+
+def test_other_programs_are_shown_pictures_joints_and_accepted_poses():
+    shown = Shown()
+
+    def locate(frame, tracker):
+        pose = {"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.6, "qz": 0.0, "qw": 0.8}
+        return pose | {"accepted": frame.stamp.sequence % 2 == 0}
+
+    def build(world):
+        return replace(make_rig(), output=shown)
+
+    summary = hold_session(build, duration_s=1.0, locate=locate)
+    assert len(shown.images) == summary.counts["Frame"] and len(shown.joints) == summary.counts["RobotSample"]
+    assert len(shown.poses) == (summary.counts["Result"] + 1) // 2
+    np.testing.assert_allclose(shown.poses[0][:3, 3], [1, 2, 3])
+    assert not shown.is_connected
+
+
+def test_the_status_line_tells_how_it_goes():
+    stream = io.StringIO()
+    status = StatusLine(stream)
+    hold_session(lambda world: make_rig(), duration_s=0.5, on_event=status)
+    text = status.text(status._begun_s + 61)
+    assert text.startswith("61 s, ") and "EM samples, armed, bend" in text and text.endswith("mm")
+    assert stream.getvalue() == ""  # not yet ten seconds

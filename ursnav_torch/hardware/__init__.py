@@ -16,6 +16,7 @@ from ursnav_torch.hardware.base import (
     LightSample,
     Note,
     OperatorInput,
+    Output,
     RobotSample,
     SourceAtEndError,
     Stamp,
@@ -29,7 +30,7 @@ from ursnav_torch.hardware.em_field import EmField
 from ursnav_torch.hardware.gamepad_mapping import GamepadMapping
 from ursnav_torch.hardware.gamepads import KeyboardGamepad, PygameGamepad, ScriptedGamepad
 from ursnav_torch.hardware.grbl import GrblRobot
-from ursnav_torch.hardware.igtl_server import OpenIgtlServer
+from ursnav_torch.hardware.igtl_server import OpenIgtlServer, SlicerOutput
 from ursnav_torch.hardware.igtl_tracker import OpenIgtlTracker
 from ursnav_torch.hardware.kinematics import Drive, Segment, tip_transform
 from ursnav_torch.hardware.ndi import NdiTracker
@@ -76,6 +77,7 @@ __all__ = [
     "OpenIgtlServer",
     "OpenIgtlTracker",
     "OperatorInput",
+    "Output",
     "PygameGamepad",
     "Rig",
     "Robot",
@@ -93,6 +95,7 @@ __all__ = [
     "SimulatedNdiTracker",
     "SimulatedOpenIgtlTracker",
     "SimulatedRosserialRobot",
+    "SlicerOutput",
     "SourceAtEndError",
     "Stamp",
     "Stamper",

@@ -263,3 +263,16 @@ class Gamepad(Device):
     @abstractmethod
     def read(self) -> OperatorInput:
         """The state right now; never waits."""
+
+
+class Output(Device):
+    """Another program that is shown what happens here; what it has no use for it passes over."""
+
+    def publish_pose(self, T_kidney_camera: NDArray[np.float64], t_wall_s: float) -> None:
+        """Show the camera's pose (4, 4), mm."""
+
+    def publish_image(self, frame: Frame) -> None:
+        """Show a picture."""
+
+    def publish_joints(self, joints: Joints, t_wall_s: float) -> None:
+        """Show where the robot stands."""

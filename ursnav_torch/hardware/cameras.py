@@ -77,24 +77,24 @@ class OpenCvCamera(LensCamera):
         self.source, self.stall_s, self.connect_s, self.reopened = source, stall_s, connect_s, 0
         self._wanted = {cv2.CAP_PROP_FRAME_WIDTH: width, cv2.CAP_PROP_FRAME_HEIGHT: height, cv2.CAP_PROP_FPS: fps}
         self._capture = capture
-        self._frames: queue.Queue[Image] = queue.Queue(maxsize=4)
+        self._frames: queue.Queue[Frame] = queue.Queue(maxsize=4)
         self._end = threading.Event()  # of the present reading thread
         self._last_s = 0.0
-        self._first: Image | None = None
+        self._first: Frame | None = None
 
     def read(self, timeout_s: float = 1.0) -> Frame:
         """Wait for the next picture; raises as `Camera.read` does."""
         self._check_connected()
         if self._first is not None:
-            image, self._first = self._first, None
-            return Frame(self._stamp(), image)
+            frame, self._first = self._first, None
+            return frame
         try:
-            image = self._frames.get(timeout=timeout_s)
+            frame = self._frames.get(timeout=timeout_s)
         except queue.Empty:
             self._reopen_if_stalled()
             raise DeviceTimeoutError(f"Camera {self.source} gave no picture within {timeout_s} s.") from None
         self._last_s = time.monotonic()
-        return Frame(self._stamp(), image)
+        return frame
 
     def _reopen_if_stalled(self) -> None:
         silent = time.monotonic() - self._last_s
@@ -111,7 +111,7 @@ class OpenCvCamera(LensCamera):
         worker = threading.Thread(target=self._run, args=(self._end, self._frames), name="camera", daemon=True)
         worker.start()
 
-    def _run(self, end: threading.Event, frames: "queue.Queue[Image]") -> None:
+    def _run(self, end: threading.Event, frames: "queue.Queue[Frame]") -> None:
         capture = self._capture(self.source)
         try:
             for key, value in self._wanted.items():
@@ -123,9 +123,9 @@ class OpenCvCamera(LensCamera):
                     end.wait(0.05)
                     continue
                 with contextlib.suppress(queue.Empty):
-                    if frames.full():  # nobody reads: the newest pictures matter
+                    if frames.full():  # nobody reads: the newest pictures matter, a gap in the numbers tells
                         frames.get_nowait()
-                frames.put(image)
+                frames.put(Frame(self._stamp(), image))
         finally:
             capture.release()
 
@@ -138,7 +138,7 @@ class OpenCvCamera(LensCamera):
                 f"Camera {self.source} gives no picture. Is it plugged in, is another program using it, and may you "
                 "use it (on Linux: are you in the group 'video')?"
             ) from None
-        self._check_size(self._first)
+        self._check_size(self._first.image)
 
     def _close(self) -> None:
         self._end.set()

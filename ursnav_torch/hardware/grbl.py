@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from ursnav_torch.errors import DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import Array
 from ursnav_torch.hardware.base import JointRates, Joints
 from ursnav_torch.hardware.kinematics import Drive
@@ -142,7 +142,12 @@ class GrblRobot(Robot):
         self._write(SOFT_RESET)
 
     def _recover(self) -> None:
-        self._reset()
+        try:
+            self._reset()
+        except DeviceNotConnectedError:  # plugged in again, perhaps
+            self._close()
+            self._link = SerialLink(self.port, 115200)
+            self._reset()
         state, axes = self._status(self.deadline_s)
         if state == "Alarm":
             self._ask("$X")
@@ -265,6 +270,5 @@ class GrblRobot(Robot):
 
     def _link_or_fail(self) -> SerialLink:
         if self._link is None:
-            self._check_connected()
-            raise AssertionError("connected without a link")
+            raise DeviceNotConnectedError(f"{self.port} is not open; plug the board in, then acknowledge or connect().")
         return self._link

@@ -12,7 +12,8 @@ from typing import Self
 from numpy.typing import ArrayLike
 
 from ursnav_torch.errors import DeviceError, DeviceNotConnectedError
-from ursnav_torch.geometry import transform_from_quaternion
+from ursnav_torch.geometry import Array, transform_from_quaternion
+from ursnav_torch.hardware.base import Output
 from ursnav_torch.hardware.ndi_unit import SensorReading
 from ursnav_torch.hardware.openigtlink import (
     HEADER,
@@ -133,6 +134,35 @@ class OpenIgtlServer:
             with self._lock:
                 self._clients.pop(client, None)
             client.close()
+
+
+class SlicerOutput(Output):
+    """Shows the localized camera to 3D Slicer: a transform node that follows it.
+
+    Args:
+        port, host: where to listen; in Slicer add an OpenIGTLink connector as a client to it.
+        device: the transform node's name.
+    """
+
+    def __init__(self, port: int = 18944, host: str = "127.0.0.1", device: str = "CameraToKidney") -> None:
+        super().__init__()
+        self.port, self.host, self.device = port, host, device
+        self._server: OpenIgtlServer | None = None
+
+    def publish_pose(self, T_kidney_camera: Array, t_wall_s: float) -> None:
+        """Send the pose to every Slicer that listens."""
+        self._check_connected()
+        if self._server:
+            self._server.send_pose(T_kidney_camera, self.device, t_wall_s)
+
+    def _open(self) -> None:
+        self._server = OpenIgtlServer(self.port, self.host)
+        self.port = self._server.port
+
+    def _close(self) -> None:
+        if self._server:
+            self._server.close()
+            self._server = None
 
 
 def _messages(pending: bytearray) -> list[Message]:

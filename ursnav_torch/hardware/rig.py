@@ -18,6 +18,7 @@ from ursnav_torch.hardware.base import (
     LightSample,
     Note,
     OperatorInput,
+    Output,
     RobotSample,
     Stamper,
     Tracker,
@@ -37,11 +38,12 @@ class Rig:
     robot: Robot | None = None
     light: Light | None = None
     gamepad: Gamepad | None = None
+    output: Output | None = None
     twin: Twin | None = None
 
     def devices(self) -> list[Device]:
         """All devices, the robot first."""
-        found = (self.robot, self.light, self.gamepad, self.tracker, self.camera)
+        found = (self.robot, self.light, self.gamepad, self.tracker, self.camera, self.output)
         return [device for device in found if device is not None]
 
     def __enter__(self) -> Self:
@@ -111,14 +113,15 @@ def build_rig(
     robot: Choice = None,
     light: Choice = None,
     gamepad: Choice = None,
+    output: Choice = None,
     twin: Callable[[World], Twin] | None = None,
     world: Callable[[], World] | None = None,
 ) -> Rig:
     """Put a rig together.
 
     Args:
-        camera, tracker, robot, light, gamepad: devices. A partial is given what it holds as `LATER` under the names
-            ``twin``, ``robot`` and ``kidney``.
+        camera, tracker, robot, light, gamepad, output: devices. A partial is given what it holds as `LATER` under the
+            names ``twin``, ``robot`` and ``kidney``.
         twin: makes the digital twin; called only when a device asks for it.
         world: makes the anatomy for the twin; called only then.
 
@@ -136,8 +139,16 @@ def build_rig(
         the_twin = twin(the_world)
     known: dict[str, Any] = {"twin": the_twin, "kidney": the_world and the_world.kidney}
     the_robot = _make(robot, known)
-    rest = [_make(choice, known | {"robot": the_robot}) for choice in (camera, tracker, light, gamepad)]
-    return Rig(rest[0], rest[1], the_robot, rest[2], rest[3], the_twin)
+    known["robot"] = the_robot
+    return Rig(
+        camera=_make(camera, known),
+        tracker=_make(tracker, known),
+        robot=the_robot,
+        light=_make(light, known),
+        gamepad=_make(gamepad, known),
+        output=_make(output, known),
+        twin=the_twin,
+    )
 
 
 def _make(choice: Choice, known: Mapping[str, Any]) -> Any:

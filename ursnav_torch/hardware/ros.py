@@ -11,11 +11,10 @@ import time
 from typing import Any
 
 import cv2
-from numpy.typing import ArrayLike
 
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError
 from ursnav_torch.geometry import Array, check_rigid, quaternion_from_transform
-from ursnav_torch.hardware.base import Device, Frame, Gamepad, Joints, OperatorInput
+from ursnav_torch.hardware.base import Frame, Gamepad, Joints, OperatorInput, Output
 from ursnav_torch.hardware.extras import import_extra
 from ursnav_torch.hardware.gamepad_mapping import GamepadMapping, MappedInput
 
@@ -27,7 +26,7 @@ IMAGE = ("/ureteroscope/image_raw/compressed", "sensor_msgs/CompressedImage")
 JOINTS = ("/ureteroscope/joint_states", "sensor_msgs/JointState")
 
 
-class RosBridge(Device):
+class RosBridge(Output):
     """A connection to a rosbridge server; connects again by itself when it is lost.
 
     Args:
@@ -53,9 +52,9 @@ class RosBridge(Device):
         self._joy_lock = threading.Lock()
         self._joy: tuple[float, list[float], list[int]] = (-1e9, [], [])
 
-    def publish_pose(self, T_kidney_camera: ArrayLike, t_wall_s: float) -> None:
+    def publish_pose(self, T_kidney_camera: Array, t_wall_s: float) -> None:
         """Publish the camera's pose as PoseStamped, meters."""
-        T: Array = check_rigid(T_kidney_camera, "T_kidney_camera")
+        T = check_rigid(T_kidney_camera, "T_kidney_camera")
         x, y, z = (T[:3, 3] / 1000).tolist()
         qx, qy, qz, qw = quaternion_from_transform(T).tolist()
         pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from ursnav_torch.errors import DeviceError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.hardware.base import JointRates, Joints, Light, LightSample
 from ursnav_torch.hardware.kinematics import Drive
 from ursnav_torch.hardware.robot import Robot
@@ -51,6 +51,7 @@ class RosserialRobot(Robot):
         self.ports, self.drive, self.baud, self.deadline_s = list(ports), drive or Drive(), baud, deadline_s
         self._links: list[RosserialLink] = []
         self._steps = np.zeros(3)
+        self._offset = np.zeros(3)  # steps that a board forgot when it lost its power
         self._moving = [False, False]
         self._heard_s = [0.0, 0.0]
         self._velocity = np.zeros(3)  # steps/s of the order under way
@@ -82,7 +83,7 @@ class RosserialRobot(Robot):
     def _joints_ahead(self) -> Joints:
         self._listen(SILENCE_S)
         age = min(time.monotonic() - self._ordered_s, self.horizon_s)
-        return self.drive.joints_from_steps(self._steps + self._velocity * max(age, 0.0))
+        return self.drive.joints_from_steps(self._steps + self._offset + self._velocity * max(age, 0.0))
 
     def _send(self, rates: JointRates) -> JointRates:
         axes = self.drive.axes_mm(Joints(rates.bend_x_rad_s, rates.bend_y_rad_s, rates.insertion_mm_s))
@@ -93,11 +94,15 @@ class RosserialRobot(Robot):
         return JointRates(sent.bend_x_rad, sent.bend_y_rad, sent.insertion_mm)
 
     def _order(self, steps: list[int], milliseconds: int) -> None:
+        if not self._links:
+            raise DeviceNotConnectedError(f"{self.ports} are not open; plug the boards in, then acknowledge.")
         self._links[0].publish(BEND, pack_ints([*steps[:2], milliseconds]))
         self._links[-1].publish(SLIDER, pack_ints([steps[2], milliseconds]))
 
     def _halt(self) -> None:
         self._velocity = np.zeros(3)
+        if not self._links:
+            return
         failure: DeviceError | None = None
         for link, topic, order in ((0, BEND, [0, 0, 0]), (-1, SLIDER, [0, 0])):
             try:
@@ -111,12 +116,15 @@ class RosserialRobot(Robot):
         self._halt()
 
     def _recover(self) -> None:
+        before = self._steps + self._offset
         self._close()
         self._open()
+        restarted = self._steps == 0
+        self._offset = np.where(restarted, before, self._offset)
 
     def _read_joints(self, timeout_s: float) -> tuple[Joints, bool]:
         self._listen(timeout_s)
-        return self.drive.joints_from_steps(self._steps), any(self._moving)
+        return self.drive.joints_from_steps(self._steps + self._offset), any(self._moving)
 
     def _listen(self, timeout_s: float) -> None:
         """Take in the positions that came; wait only when the newest are older than half a second."""

@@ -5,15 +5,19 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TextIO
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.hardware import Frame, Note, Rig, RobotSample, TrackerSample, World
-from ursnav_torch.session.events import Event
+from ursnav_torch.geometry import transform_from_quaternion
+from ursnav_torch.hardware import Frame, Note, Output, Rig, RobotSample, TrackerSample, World
+from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.live import Live
 from ursnav_torch.session.record import Recorder
 from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.run import Locate, Summary, run_session
+
+POSITION, QUATERNION = ("x_mm", "y_mm", "z_mm"), ("qx", "qy", "qz", "qw")
 
 
 def hold_session(
@@ -38,6 +42,7 @@ def hold_session(
         DeviceError: a device cannot be connected.
     """
     with contextlib.ExitStack() as stack:
+        observers = [on_event] if on_event else []
         if isinstance(hardware, Replay):
             if recorder and recorder.path.absolute() == hardware.path.absolute():
                 raise InputError(
@@ -45,10 +50,32 @@ def hold_session(
                 )
             source: Live | Replay = hardware
         else:
-            source = Live(stack.enter_context(hardware(world=world)), duration_s)
+            rig = stack.enter_context(hardware(world=world))
+            source = Live(rig, duration_s)
+            if rig.output:
+                observers.append(partial(share, rig.output))
         if recorder:
             stack.enter_context(recorder)
-        return run_session(source, recorder, locate, on_event, keep_results=False)
+        return run_session(source, recorder, locate, _all(observers), keep_results=False)
+
+
+def share(output: Output, event: Event) -> None:
+    """Show an event to another program: pictures, joints, and the pose in a result's row that was accepted."""
+    if isinstance(event, Frame):
+        output.publish_image(event)
+    elif isinstance(event, RobotSample):
+        output.publish_joints(event.joints, event.stamp.t_wall_s)
+    elif isinstance(event, Result) and event.row.get("accepted") and event.row.get("x_mm") is not None:
+        position, quaternion = ([float(event.row[c]) for c in names] for names in (POSITION, QUATERNION))
+        output.publish_pose(transform_from_quaternion(position, quaternion), event.stamp.t_wall_s)
+
+
+def _all(observers: list[Callable[[Event], None]]) -> Callable[[Event], None]:
+    def tell(event: Event) -> None:
+        for observer in observers:
+            observer(event)
+
+    return tell
 
 
 class StatusLine:
