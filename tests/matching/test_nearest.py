@@ -8,6 +8,7 @@ from ursnav_torch.matching.nearest import trimmed_mean
 COST = torch.rand(7, 3, 5, generator=torch.Generator().manual_seed(0))
 MASK = torch.tensor([[1, 1, 1, 1, 1], [1, 1, 0, 0, 0], [1, 1, 1, 1, 0]]).bool()
 MASKED = torch.where(MASK, COST, 1000.0)
+SHARES = MASK / MASK.sum(1, keepdim=True)
 EVEN = torch.full((7,), 1 / 7)
 
 
@@ -16,13 +17,13 @@ def test_means_over_each_side() -> None:
         real = COST[:, v, MASK[v]]
         there, back = real.amin(1).mean(), real.amin(0).mean()
         for sides, expected in (("query_to_view", there), ("view_to_query", back), ("sum", there + back)):
-            found = Nearest(sides=sides).reduce(MASKED.clone(), MASK, EVEN)[v]
+            found = Nearest(sides=sides).reduce(MASKED.clone(), SHARES, EVEN)[v]
             torch.testing.assert_close(found, expected)
 
 
 def test_weights_count_rows() -> None:
     weights = torch.tensor([0.5, 0.5, 0, 0, 0, 0, 0])
-    found = Nearest(sides="query_to_view").reduce(MASKED.clone(), MASK, weights)
+    found = Nearest(sides="query_to_view").reduce(MASKED.clone(), SHARES, weights)
     torch.testing.assert_close(found, MASKED[:2].amin(2).mean(0))
 
 

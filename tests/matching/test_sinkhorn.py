@@ -16,7 +16,7 @@ WEIGHTS = torch.linspace(1, 2, 9) / torch.linspace(1, 2, 9).sum()
 @pytest.mark.parametrize("double", [False, True])
 def test_marginals_are_right(domain: str, double: bool) -> None:
     settings = Sinkhorn(iterations=2000, tolerance=1e-4, domain=domain, double=double)  # type: ignore[arg-type]
-    found = settings.transport(COST, MASK, WEIGHTS)
+    found = settings.transport(COST, MASK.float(), WEIGHTS)
     torch.testing.assert_close(found.plan.sum(2), WEIGHTS[:, None].expand(9, 4).to(found.plan), atol=2e-4, rtol=0)
     even = MASK / MASK.sum(1, keepdim=True)
     torch.testing.assert_close(found.plan.sum(0), even.to(found.plan), atol=1e-5, rtol=0)
@@ -28,7 +28,7 @@ def test_marginals_are_right(domain: str, double: bool) -> None:
 def test_agrees_with_pot(epsilon: float) -> None:
     ot = pytest.importorskip("ot", reason="POT is not installed")
     settings = Sinkhorn(epsilon=epsilon, iterations=20000, tolerance=1e-9, double=True)
-    found = settings.transport(COST, MASK, WEIGHTS)
+    found = settings.transport(COST, MASK.float(), WEIGHTS)
     for v in range(4):
         n = int(MASK[v].sum())
         cost = COST[:, v, :n].double().numpy()
@@ -39,21 +39,23 @@ def test_agrees_with_pot(epsilon: float) -> None:
 
 
 def test_both_domains_agree_and_log_stands_a_tiny_epsilon() -> None:
-    plain = Sinkhorn(iterations=500, tolerance=1e-3).transport(COST, MASK, WEIGHTS)
-    log = Sinkhorn(iterations=500, tolerance=1e-3, domain="log").transport(COST, MASK, WEIGHTS)
+    plain = Sinkhorn(iterations=500, tolerance=1e-3).transport(COST, MASK.float(), WEIGHTS)
+    log = Sinkhorn(iterations=500, tolerance=1e-3, domain="log").transport(COST, MASK.float(), WEIGHTS)
     torch.testing.assert_close(plain.plan, log.plan, atol=1e-5, rtol=0)
-    tiny = Sinkhorn(epsilon=1e-4, iterations=50, tolerance=float("inf"), domain="log").transport(COST, MASK, WEIGHTS)
+    tiny = Sinkhorn(epsilon=1e-4, iterations=50, tolerance=float("inf"), domain="log").transport(
+        COST, MASK.float(), WEIGHTS
+    )
     assert tiny.plan.isfinite().all()
 
 
 def test_too_few_iterations_are_told() -> None:
     with pytest.warns(ConvergenceWarning, match="raise iterations or epsilon"):
-        Sinkhorn(iterations=1, tolerance=1e-6).transport(COST, MASK, WEIGHTS)
+        Sinkhorn(iterations=1, tolerance=1e-6).transport(COST, MASK.float(), WEIGHTS)
 
 
 def test_a_plain_kernel_that_underflows_is_told() -> None:
     with pytest.warns(ConvergenceWarning, match="domain='log'"):
-        Sinkhorn(epsilon=1e-4).transport(COST, MASK, WEIGHTS)
+        Sinkhorn(epsilon=1e-4).transport(COST, MASK.float(), WEIGHTS)
 
 
 def test_refuses_settings() -> None:

@@ -34,9 +34,9 @@ class Hungarian:
         if self.exact is not None and self.exact < 1:
             raise InputError(f"exact must be at least 1, or null for all views; got {self.exact}.")
 
-    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
-        """Lower bounds (V,) of the mean assignment cost."""
-        return assignment_bound(cost, mask)
+    def reduce(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
+        """Lower bounds (V,) of the mean assignment cost; see `Method.reduce`."""
+        return assignment_bound(cost, shares > 0)
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Solve views in order of their bounds until no bound is below the `exact`-th best solution."""

@@ -17,8 +17,10 @@ from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
 from ursnav_torch.matching.workers import map_chunks, one_thread_an_operation
 
-#: Numbers in one cost chunk, so that it stays in the second-level cache: 40 views of 100 points.
-_COSTS_A_CHUNK = 400_000
+#: Numbers in one cost chunk, so that it and its views' features stay in the second-level cache.
+_COSTS_A_CHUNK = 250_000
+#: The same for exact chi2, whose many short operations a query point want longer rows.
+_CHI2_COSTS_A_CHUNK = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,7 @@ class Matcher:
             )
         self.settings, self.points, self.mask = settings, points.float(), mask
         self._empty = ~mask.any(1)
+        self._shares = mask / mask.sum(1, keepdim=True).clamp_min(1)
         self._roll_center = torch.tensor(roll_center_px, dtype=torch.float32)
         descriptor = fix_scale(settings.descriptor, self.points, mask)
         if isinstance(settings.method, OpenCV):
@@ -174,10 +177,11 @@ class Matcher:
 
         def work(part: slice) -> None:
             for row, query in zip(out, queries, strict=True):
-                row[part] = method.reduce(self.views.costs(query, part), self.mask[part], shares)
+                row[part] = method.reduce(self.views.costs(query, part), self._shares[part], shares)
 
         operations = float(len(queries) * len(self) * width * (self.views.descriptor.size + 10))
-        map_chunks(work, len(self), max(1, _COSTS_A_CHUNK // width), operations)
+        chunk = _COSTS_A_CHUNK if self.settings.cost.compare == "hellinger" else _CHI2_COSTS_A_CHUNK
+        map_chunks(work, len(self), max(1, chunk // width), operations)
         for row, query in zip(out, queries, strict=True):
             row.masked_fill_(self._empty, math.inf)
             row.copy_(method.finish(row, partial(self._costs_and_mask, query)))

@@ -25,10 +25,13 @@ class Correspondences:
 class Method(Protocol):
     """A way from costs to distances. Costs are laid out (Pq, V, P): query point, view, the view's point."""
 
-    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
-        """Distances (V,) from costs (Pq, V, P), the views' mask (V, P) and query weights (Pq,) that sum to 1.
+    def reduce(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
+        """Distances (V,) from costs (Pq, V, P), which may be overwritten.
 
-        May overwrite `cost`.
+        Args:
+            cost: (Pq, V, P), at least `cost.ABSENT` where a view has no point.
+            shares: (V, P) even weights of a view's points that sum to 1, zero where it has none.
+            weights: (Pq,) weights of the query's points that sum to 1.
         """
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:

@@ -33,15 +33,12 @@ class Nearest:
         if not 0 < self.keep <= 1:
             raise InputError(f"keep is a share of the points, above 0 and at most 1; got {self.keep}.")
 
-    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
+    def reduce(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
         """See `Method.reduce`."""
-        out = torch.zeros(cost.shape[1])
-        if self.sides != "view_to_query":
-            out += trimmed_mean(cost.amin(2), weights, self.keep)
-        if self.sides != "query_to_view":
-            count = mask.sum(1)
-            out += torch.where(mask, cost.amin(0), 0.0).sum(1) / count
-        return out
+        if self.sides == "view_to_query":
+            return (cost.amin(0) * shares).sum(1)
+        there = trimmed_mean(cost.amin(2), weights, self.keep)
+        return there if self.sides == "query_to_view" else there.add_((cost.amin(0) * shares).sum(1))
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Nothing is left to do."""

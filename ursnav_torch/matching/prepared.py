@@ -42,10 +42,11 @@ class PreparedViews:
     ) -> None:
         histograms = describe(points, mask, descriptor, direction, weights)
         self.descriptor, self.cost, self.mask = descriptor, cost, mask
-        self._features = pair_cost.view_features(histograms, direction, mask, cost)
-        self._columns = histograms.view(-1, descriptor.size).T.contiguous() if cost.compare == "chi2" else None
+        self._features = _columns(pair_cost.view_features(histograms, direction, mask, cost))
+        self._histograms = _columns(histograms) if cost.compare == "chi2" else None
         self._origin = points[mask].mean(0) if bool(mask.any()) else torch.zeros(2)
-        self._position = pair_cost.position_features(points - self._origin, cost) if cost.position_weight > 0 else None
+        position = pair_cost.position_features(points - self._origin, cost)
+        self._position = _columns(position) if cost.position_weight > 0 else None
         self._local = threading.local()
 
     def query(self, points: Tensor, direction: Tensor | None, weights: Tensor | None) -> PreparedQuery:
@@ -73,18 +74,18 @@ class PreparedViews:
         The result lies in a buffer that this thread's next call overwrites.
         """
         width = self.mask.shape[1]
-        rows = slice(part.start * width, part.stop * width)
-        out = self._buffer(len(query.features), rows.stop - rows.start)
-        features = self._features.view(-1, self._features.shape[-1])[rows]
+        columns = slice(part.start * width, part.stop * width)
+        out = self._buffer(len(query.features), columns.stop - columns.start)
+        features = self._features[:, columns]
         shares = self.cost.shares()
         if self._position is None:
-            torch.mm(query.features, features.T, out=out)
+            torch.mm(query.features, features, out=out)
         else:
-            torch.mm(query.position, self._position.view(-1, 4)[rows].T, out=out)
+            torch.mm(query.position, self._position[:, columns], out=out)
             out.clamp_(0.0, 1.0).sqrt_()
-            torch.addmm(out, query.features, features.T, beta=shares[1], out=out)
-        if self._columns is not None:
-            pair_cost.add_chi2(out, self._columns[:, rows], query.histograms, shares[0])
+            torch.addmm(out, query.features, features, beta=shares[1], out=out)
+        if self._histograms is not None:
+            pair_cost.add_chi2(out, self._histograms[:, columns], query.histograms, shares[0])
         return out.view(len(out), -1, width)
 
     def costs_of(self, query: PreparedQuery, views: Tensor) -> Tensor:
@@ -97,6 +98,11 @@ class PreparedViews:
         if kept is None or len(kept) < rows * columns:
             kept = self._local.buffer = torch.empty(rows * columns)
         return kept[: rows * columns].view(rows, columns)
+
+
+def _columns(rows: Tensor) -> Tensor:
+    """Rows (V, P, F) as columns (F, V P), in which layout products are some 10 % faster."""
+    return rows.flatten(0, 1).T.contiguous()
 
 
 def compress(

@@ -61,9 +61,9 @@ class Sinkhorn:
         if self.domain not in ("plain", "log"):
             raise InputError(f"domain is {self.domain!r}; accepted are 'plain' and 'log'.")
 
-    def reduce(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
+    def reduce(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
         """See `Method.reduce`."""
-        return self.transport(cost, mask, weights).cost.float()
+        return self.transport(cost, shares, weights).cost.float()
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Nothing is left to do."""
@@ -71,21 +71,21 @@ class Sinkhorn:
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """The view point that receives most of each query point's mass."""
-        mask = torch.ones(1, cost.shape[1], dtype=torch.bool)
-        view = self.transport(cost[:, None].clone(), mask, weights).plan[:, 0].argmax(1)
+        even = torch.full((1, cost.shape[1]), 1 / cost.shape[1])
+        view = self.transport(cost[:, None], even, weights).plan[:, 0].argmax(1)
         query = torch.arange(len(cost))
         return Correspondences(query, view, cost[query, view])
 
-    def transport(self, cost: Tensor, mask: Tensor, weights: Tensor) -> Transport:
-        """Plans from query points with masses `weights` (Pq,) to the points of each view, evenly (V, P).
+    def transport(self, cost: Tensor, target: Tensor, weights: Tensor) -> Transport:
+        """Plans from query points to the points of each view.
 
         Args:
             cost: (Pq, V, P).
-            mask: (V, P) bool, true where the view has a point; a view without points gets nan.
-            weights: (Pq,) masses; they are scaled to sum to 1.
+            target: (V, P) masses of the views' points, zero where there is none; scaled to sum to 1.
+            weights: (Pq,) masses of the query's points; scaled to sum to 1.
         """
         dtype = torch.float64 if self.double else torch.float32
-        target = mask.to(dtype) / mask.sum(1, keepdim=True)
+        target = target.to(dtype) / target.to(dtype).sum(1, keepdim=True)
         source = weights.to(dtype) / weights.to(dtype).sum()
         solve = _plain if self.domain == "plain" else _log
         result = solve(cost.to(dtype), target, source, self)
