@@ -26,7 +26,6 @@ from ursnav_torch.hardware.simulated_port import SimulatedPort
 from ursnav_torch.hardware.twin import Scope, Twin
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.rendering import Renderer
-from ursnav_torch.rendering.sensor import severity, simulate
 
 
 def make_twin(
@@ -61,6 +60,8 @@ def _picture(renderer: Renderer, sensor: str | None, seed: int) -> Callable[[Arr
     """What the scope's camera shows from a pose (4, 4)."""
     if sensor is None:
         return lambda T_kidney_camera: renderer.render(T_kidney_camera).image
+    from ursnav_torch.rendering.sensor import severity, simulate  # brings torch, for which a lab need not wait
+
     rng = np.random.default_rng(seed)
     faults = severity(sensor, 0.5, rng)
     return lambda T_kidney_camera: simulate(renderer, T_kidney_camera, faults, rng)
