@@ -101,16 +101,15 @@ def register_centerline(
         InputError: no axis, or far too large for the kidney.
         RegistrationError: the path is too short, does not fit the kidney, or does not determine the answer.
     """
-    position, direction = _average(*_check(position_mm, axis), _STEP_MM)
-    _check_size(position, mesh)
+    position, direction = _average(*_check(position_mm, axis, mesh), _STEP_MM)
     ahead = (0.0,) if sensor_offset_mm is None else (0.0, -float(np.asarray(sensor_offset_mm, float)[2]))
     field = DistanceField.from_mesh(mesh)
     solution = solve(_problem(position, direction, field, centerline, ahead))
     registration = _registration(solution, position, direction, field, centerline, ahead)
+    _refuse_unless_inside(registration)
     mirrored = least_cost(_problem(position * [-1, 1, 1], direction * [-1, 1, 1], field, centerline, ahead))
     tre = float(np.sqrt(np.mean(registration.tre_mm(centerline.points_mm) ** 2)))
     refuse_unless_determined(solution, mirrored, tre, max_error_mm, "path's samples")
-    _refuse_unless_inside(registration)
     return registration
 
 
@@ -128,13 +127,19 @@ def branch_directions(centerline: Centerline, span_mm: float = 4.0) -> Array:
     return way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
-def _check(position_mm: ArrayLike, axis: ArrayLike) -> tuple[Array, Array]:
+def _check(position_mm: ArrayLike, axis: ArrayLike, mesh: trimesh.Trimesh) -> tuple[Array, Array]:
     p, d = np.asarray(position_mm, float), np.asarray(axis, float)
     if p.ndim != 2 or p.shape[-1] != 3 or p.shape != d.shape:
         raise ShapeError(f"Expected positions and axes (N, 3), got {p.shape} and {d.shape}.")
     if not np.isfinite(d).any():
         raise InputError("The path has no axes; the columns dx, dy, dz of the sensor's direction are needed.")
     keep = np.isfinite(np.c_[p, d]).all(axis=1)
+    spread, size = float(np.linalg.norm(np.ptp(p[keep], axis=0))), float(np.linalg.norm(mesh.extents))
+    if not 0.02 * size < spread < 3 * size:
+        raise InputError(
+            f"The path spans {spread:.3g} mm and the lumen {size:.3g} mm. Check the units (both mm) and that the path "
+            "holds only what was recorded inside the kidney."
+        )
     return p[keep], d[keep]
 
 
@@ -157,15 +162,6 @@ def _average(position: Array, axis: Array, step_mm: float) -> tuple[Array, Array
     np.add.at(mean_d, run, axis)
     length = np.linalg.norm(mean_d, axis=1, keepdims=True)
     return mean_p / count[:, None], mean_d / np.maximum(length, 1e-9)
-
-
-def _check_size(position: Array, mesh: trimesh.Trimesh) -> None:
-    spread, size = np.linalg.norm(np.ptp(position, axis=0)), np.linalg.norm(mesh.extents)
-    if spread > 3 * size or spread < 0.02 * size:
-        raise InputError(
-            f"The path spans {spread:.3g} mm and the lumen {size:.3g} mm. Check the units (both mm) and that the path "
-            "holds only what was recorded inside the kidney."
-        )
 
 
 def _problem(
@@ -235,8 +231,8 @@ def _refuse_unless_inside(registration: Registration) -> None:
     if outside > _MOST_OUTSIDE:
         raise RegistrationError(
             f"The path does not fit this kidney: in its best place {outside:.0%} of it lie more than 1 mm outside the "
-            f"lumen ({_MOST_OUTSIDE:.0%} are accepted). Check side, scale and units (mm), and that the path holds only "
-            "what was recorded inside the kidney."
+            f"lumen ({_MOST_OUTSIDE:.0%} are accepted). Check side, scale, units (mm) and handedness, and that the "
+            "path holds only what was recorded inside the kidney."
         )
     if heading > 90:
         raise RegistrationError(
