@@ -9,7 +9,8 @@ from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.checks import check_radius
 from ursnav_torch.kidney.grid import LumenGrid
 from ursnav_torch.kidney.naming import name_calyces, with_poles
-from ursnav_torch.kidney.tips import find_pelvis, find_tips
+from ursnav_torch.kidney.pelvis import find_pelvis
+from ursnav_torch.kidney.tips import find_tips
 from ursnav_torch.kidney.tree import grow_tree
 
 Array = NDArray[np.float64]
@@ -40,8 +41,8 @@ def build_kidney(
     for name, point in points.items():
         if grid.clearance_mm(point)[0] < -_OUTSIDE_MM * scale:
             raise InputError(
-                f"{name} at {np.round(point, 1).tolist()} lies {-grid.clearance_mm(point)[0]:.1f} mm outside the lumen of {source}. "
-                "The points must be in the mesh's own coordinates, in mm."
+                f"{name} at {np.round(point, 1).tolist()} lies {-grid.clearance_mm(point)[0]:.1f} mm outside the lumen "
+                f"of {source}. The points must be in the mesh's own coordinates, in mm."
             )
     pelvis = find_pelvis(grid, scale) if pelvis_mm is None else pelvis_mm
     if calyces is None:

@@ -56,8 +56,8 @@ def check_radius(radius_mm: float, name: str, scale: float) -> None:
 
 def _solid(name: str, found: str) -> InputError:
     return InputError(
-        f"{name} {found}, which fits a whole kidney and not its lumen: a collecting system holds 3 to 30 mL and is nowhere "
-        "wider than 30 mm. Give the inner surface of pelvis and calyces; if the model was enlarged, state kidney.scale."
+        f"{name} {found}, which fits a whole kidney and not its lumen: a collecting system holds 3 to 30 mL "
+        "and is nowhere wider than 30 mm. Give the inner surface of pelvis and calyces; if the model was enlarged, state kidney.scale."
     )
 
 
@@ -92,8 +92,8 @@ def _one_piece(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
     if len(large) > 1:
         listed = ", ".join(f"{s * sizes.sum() / 1000:.2f} mL" for s in large)
         raise InputError(
-            f"{name} consists of {len(large)} pieces ({listed}). One connected lumen is needed: join or delete pieces in the "
-            "segmentation. A shell around another (outer organ and cavity) must be split, and the inner surface kept."
+            f"{name} consists of {len(large)} pieces ({listed}). One connected lumen is needed: join or delete "
+            "pieces in the segmentation. A shell around another (outer organ and cavity) must be split, and the inner surface kept."
         )
     warnings.warn(f"{name}: {count - 1} specks of less than 1 % of the volume were dropped.", stacklevel=4)
     return pieces[int(share.argmax())]
@@ -105,8 +105,8 @@ def _check_closed(mesh: trimesh.Trimesh, name: str) -> None:
         open_edges = edges[uses == 1]
         holes = nx.number_connected_components(nx.from_edgelist(open_edges.tolist()))
         raise InputError(
-            f"{name} is not closed: {len(open_edges)} boundary edges around {holes} holes and {np.sum(uses > 2)} edges with more "
-            "than two triangles. Close it (fill holes, make it manifold) in the program that made it."
+            f"{name} is not closed: {len(open_edges)} boundary edges around {holes} holes and {np.sum(uses > 2)} edges "
+            "with more than two triangles. Close it (fill holes, make it manifold) in the program that made it."
         )
     if not mesh.is_winding_consistent:
         mesh.fix_normals()

@@ -94,8 +94,8 @@ def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike) -> Array:
 
 
 def _fill(triangles: Array, shape: IntArray) -> NDArray[np.bool_]:
-    """Voxel centers inside a closed surface (F, 3, 3) in voxel units: crossings are counted along z, column by column."""
-    triangles = triangles + [1.234e-5, 2.345e-5, 0.0]  # so that no vertex or edge lies exactly on a column
+    """Voxel centers inside a closed surface (F, 3, 3) in voxel units: crossings counted along z, column by column."""
+    triangles = np.add(triangles, (1.234e-5, 2.345e-5, 0.0))  # so that no vertex or edge lies exactly on a column
     low = np.ceil(triangles[..., :2].min(axis=1)).astype(int)
     size = np.maximum(np.floor(triangles[..., :2].max(axis=1)).astype(int) - low + 1, 0)
     count = size.prod(axis=1)

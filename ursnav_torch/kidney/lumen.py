@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import dijkstra
 
 from ursnav_torch.errors import ShapeError
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney.anatomy import Kidney
+from ursnav_torch.kidney.geodesic import ways_to
 from ursnav_torch.kidney.grid import LumenGrid
 
 Array = NDArray[np.float64]
@@ -24,9 +24,7 @@ OBSERVED_WITHIN_MM = 14.0
 class LumenDistance:
     """Distance along the lumen to every calyx tip.
 
-    Shortest paths over voxels turn at angles of 45 degrees at least and come out up to 13 % long, so every path is pulled
-    tight: each voxel keeps its *corner*, the farthest voxel towards the tip that it sees in a straight line. Distances
-    are exact to about a voxel where the way bends and to rounding where it is straight.
+    Exact to about a voxel where the way bends and to rounding where it is straight.
 
     Attributes:
         grid: the voxels of the lumen.
@@ -44,14 +42,13 @@ class LumenDistance:
     def from_kidney(cls, kidney: Kidney, voxel_mm: float | None = None) -> "LumenDistance":
         """Distances for a kidney on voxels of ``voxel_mm`` (0.5 mm at scale 1 by default)."""
         grid = LumenGrid.from_mesh(kidney.mesh, voxel_mm or VOXEL_MM * kidney.scale)
-        seeds = grid.nearest(kidney.tips_mm)
-        lengths, towards = dijkstra(grid.graph(), indices=seeds, return_predecessors=True)
-        ways = [_pull_tight(grid, *way) for way in zip(seeds, lengths, towards, strict=True)]
-        corner = np.stack([grid.centers_mm[corner] for corner, _ in ways])
-        beyond = np.stack([length[corner] for corner, length in ways])
-        for c, (tip, seed) in enumerate(zip(kidney.tips_mm, seeds, strict=True)):
-            corner[c, ways[c][0] == seed] = tip
-        return cls(grid, corner, beyond, kidney.scale)
+        graph = grid.graph()
+        corner, beyond = [], []
+        for tip, seed in zip(kidney.tips_mm, grid.nearest(kidney.tips_mm), strict=True):
+            ways = ways_to(grid, graph, np.array([seed]))
+            corner.append(np.where((ways.corner == seed)[:, None], tip, grid.centers_mm[ways.corner]))
+            beyond.append(ways.length_mm[ways.corner])
+        return cls(grid, np.stack(corner), np.stack(beyond), kidney.scale)
 
     def to_calyces(self, points_mm: ArrayLike) -> Array:
         """(N, C) distance in mm along the lumen from points (N, 3), kidney frame, to each calyx tip.
@@ -85,42 +82,3 @@ def observed_calyx(T_kidney_camera: ArrayLike, kidney: Kidney, lumen: LumenDista
     near = lumen.to_calyces(position) <= OBSERVED_WITHIN_MM * kidney.scale
     best = np.where(near, angle, np.inf).argmin(axis=1)
     return np.where(near.any(axis=1), best, -1)
-
-
-def _pull_tight(grid: LumenGrid, seed: int, length: Array, towards: IntArray) -> tuple[IntArray, Array]:
-    """Corner (V,) of every voxel and its length (V,) of way to the seed, from voxel paths ``length`` and ``towards``.
-
-    Theta* on a fixed tree (Nash et al., AAAI 2007), one generation of voxels after the other: a voxel that sees the
-    corner of the voxel before it takes that corner, else that voxel is its corner.
-    """
-    corner, length = np.full(len(towards), seed), length.copy()
-    for voxels in _generations(towards):
-        before = towards[voxels]
-        ahead = corner[before]
-        sees = _sees(grid, grid.centers_mm[voxels], grid.centers_mm[ahead])
-        corner[voxels] = np.where(sees, ahead, before)
-        step = grid.centers_mm[voxels] - grid.centers_mm[corner[voxels]]
-        length[voxels] = length[corner[voxels]] + np.linalg.norm(step, axis=1)
-    return corner, length
-
-
-def _generations(towards: IntArray) -> list[IntArray]:
-    """Nodes by their number of steps to the root, from 1 on; ``towards`` (V,) is negative at roots and loners."""
-    root = towards < 0
-    steps, ahead = np.where(root, 0, 1), np.where(root, np.arange(len(towards)), towards)
-    while steps[ahead].any():
-        steps, ahead = steps + steps[ahead], ahead[ahead]
-    order = np.argsort(steps, kind="stable")
-    return np.split(order, np.searchsorted(steps[order], np.arange(1, steps.max() + 1)))[1:]
-
-
-def _sees(grid: LumenGrid, a_mm: Array, b_mm: Array) -> NDArray[np.bool_]:
-    """(K,) whether the straight line between points (K, 3) inside the lumen stays inside."""
-    steps = np.ceil(np.linalg.norm(b_mm - a_mm, axis=1) / grid.voxel_mm * 1.5).astype(int)
-    pair = np.repeat(np.arange(len(a_mm)), steps)
-    k = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)
-    fraction = ((k + 0.5) / np.repeat(steps, steps))[:, None]
-    at = a_mm[pair] + fraction * (b_mm[pair] - a_mm[pair])
-    voxel = np.rint((at - grid.origin_mm) / grid.voxel_mm).astype(int)
-    blocked = grid.index[tuple(voxel.T)] < 0
-    return np.bincount(pair[blocked], minlength=len(a_mm)) == 0

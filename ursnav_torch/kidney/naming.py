@@ -6,17 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney.anatomy import Calyx, Centerline
 
 Array = NDArray[np.float64]
 
-#: Beyond this angle from the transverse plane a calyx belongs to the upper or lower pole.
-_POLE_RAD = np.radians(30.0)
-
 
 def name_calyces(tree: Centerline, tips_mm: Array) -> tuple[Calyx, ...]:
-    """Calyces "A", "B", ... for tips (C, 3), in depth-first order of their tree, so that neighbors get neighboring letters."""
+    """Calyces "A", "B", ... for tips (C, 3), in depth-first order of their tree: neighbors get neighboring letters."""
     children: dict[int, list[int]] = {}
     for node, parent in enumerate(tree.parent):
         children.setdefault(int(parent), []).append(node)
@@ -42,8 +38,7 @@ def letter(number: int) -> str:
 def with_poles(calyces: tuple[Calyx, ...], superior: ArrayLike) -> tuple[Calyx, ...]:
     """Calyces with "upper", "mid" or "lower" where they have no pole yet; ``superior`` (3,) points to the head.
 
-    A tip belongs to a pole where, seen from the middle of all tips, it lies more than 30 degrees out of the transverse
-    plane.
+    The poles are the upper and the lower third of the height between the lowest and the highest tip.
 
     Raises:
         InputError: ``superior`` is no direction.
@@ -51,7 +46,7 @@ def with_poles(calyces: tuple[Calyx, ...], superior: ArrayLike) -> tuple[Calyx, 
     up = np.asarray(superior, float)
     if up.shape != (3,) or not np.all(np.isfinite(up)) or not np.any(up):
         raise InputError(f"kidney.superior must be a direction [x, y, z] in the kidney frame, got {superior}.")
-    off = np.array([c.tip_mm for c in calyces]) - np.mean([c.tip_mm for c in calyces], axis=0)
-    angle = np.pi / 2 - angle_between(off, up)
-    poles = np.where(angle > _POLE_RAD, "upper", np.where(angle < -_POLE_RAD, "lower", "mid"))
-    return tuple(replace(c, pole=c.pole or str(p)) for c, p in zip(calyces, poles, strict=True))
+    height = np.array([c.tip_mm for c in calyces]) @ up
+    low, third = height.min(), np.ptp(height) / 3
+    poles = ["lower" if h < low + third else "upper" if h > low + 2 * third else "mid" for h in height]
+    return tuple(replace(c, pole=c.pole or p) for c, p in zip(calyces, poles, strict=True))

@@ -70,8 +70,8 @@ def _join(root: int, seeds: IntArray, towards: IntArray) -> tuple[IntArray, IntA
         while way[-1] not in node:
             if towards[way[-1]] < 0:
                 raise InputError(
-                    f"No way through the lumen leads from the pelvis to calyx number {c + 1}: a neck between them is closed. "
-                    "Check the point and the mesh there."
+                    f"No way through the lumen leads from the pelvis to calyx number {c + 1}: a neck between them is "
+                    "closed. Check the point and the mesh there."
                 )
             way.append(int(towards[way[-1]]))
         shared = node[way.pop()]
