@@ -1,22 +1,47 @@
 """EM frame to kidney frame: from touched landmarks, from touched surface points, or from the sensor's own path; and
 the verdict of the EM sensor on what image matching says (thesis chapters 4.4-4.5)."""
 
+from ursnav_torch.registration.centerline import branch_directions, register_centerline
 from ursnav_torch.registration.files import EmSamples, Landmarks, join_names, read_em_samples, read_landmarks
 from ursnav_torch.registration.landmarks import RegistrationWarning, register_landmarks
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.rigid import fit_rigid
+from ursnav_torch.registration.surface import register_surface
 from ursnav_torch.registration.touch import picked_points, touched_points
+from ursnav_torch.registration.validation import (
+    Comparison,
+    Confusion,
+    ErrorBudget,
+    camera_errors,
+    compare_poses,
+    confusion,
+    position_threshold,
+)
+from ursnav_torch.registration.verdicts import Verdicts, judge_matches, verdict_report
 
 __all__ = [
+    "Comparison",
+    "Confusion",
     "EmSamples",
+    "ErrorBudget",
     "Landmarks",
     "Registration",
     "RegistrationWarning",
+    "Verdicts",
+    "branch_directions",
+    "camera_errors",
+    "compare_poses",
+    "confusion",
     "fit_rigid",
     "join_names",
+    "judge_matches",
     "picked_points",
+    "position_threshold",
     "read_em_samples",
     "read_landmarks",
+    "register_centerline",
     "register_landmarks",
+    "register_surface",
     "touched_points",
+    "verdict_report",
 ]

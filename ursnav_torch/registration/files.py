@@ -53,7 +53,7 @@ class EmSamples:
         keep = np.isfinite(self.position_mm).all(axis=1)
         return self._rows(np.flatnonzero(keep))
 
-    def for_images(self, images: list[str], t_s: ArrayLike | None = None, within_s: float = 0.25) -> "EmSamples":
+    def for_images(self, images: Sequence[str], t_s: ArrayLike | None = None, within_s: float = 0.25) -> "EmSamples":
         """One reading an image, NaN where there is none.
 
         Joined by name (the image's file name, or its number as ``00012.png`` for frame 12), else by the nearest time.

@@ -1,4 +1,4 @@
-"""What the `validate` runner does: matches, EM readings and perhaps the truth in, verdicts and a confusion matrix out."""
+"""What the `validate` runner does: matches, EM readings and perhaps the truth in, verdicts out."""
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -111,20 +111,15 @@ def judge_matches(
     """
     if not 0 < least_p < 0.5:
         raise InputError(f"least_p={least_p} must lie between 0 and 0.5, such as 0.01.")
-    budget = budget or ErrorBudget()
-    e_cam = np.zeros(0)
+    budget, e_cam = budget or ErrorBudget(), np.zeros(0)
     if reference_pairs is not None:
         pairs = read_landmarks(reference_pairs)
         e_cam = camera_errors(registration, pairs.em_mm, pairs.kidney_mm)
         if sensor_offset_mm is None:
             budget = replace(budget, match_mm=float(np.sqrt(np.mean(e_cam**2))))
-    rows = read_csv(Path(matches), ("image", "calyx", *POSE_COLUMNS), "match")
-    samples = _readings(rows, read_em_samples(em), Path(matches))
-    error = [
-        _what_is_missing(row, seen) for row, seen in zip(rows, np.isfinite(samples.position_mm).all(1), strict=True)
-    ]
+    rows, images, samples, error = _read(Path(matches), em)
     usable = np.array([not e for e in error], bool)
-    T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok], Path(matches)).reshape(-1, 4, 4)
+    T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok], Path(matches))
     sensor, axis = samples.position_mm[usable], samples.axis[usable]
     comparison = compare_poses(T, sensor, axis, registration, np.array(sensor_offset_mm or (0.0, 0.0, 0.0)), budget)
     distance = np.full(len(rows), np.nan)
@@ -132,11 +127,10 @@ def judge_matches(
         threshold = position_threshold(e_cam, budget.em_mm)
         distance[usable] = camera_errors(registration, sensor, T[:, :3, 3])
     else:
-        expected = float(np.median(comparison.expected_mm)) if usable.any() else 0.0
-        threshold = expected * float(np.sqrt(chi2.isf(least_p, 3) / 3))
+        threshold = float(np.median(comparison.expected_mm) * np.sqrt(chi2.isf(least_p, 3) / 3))
         distance[usable] = comparison.distance_mm
     return Verdicts(
-        images=[row["image"] for row in rows],
+        images=images,
         calyx=[row["calyx"] for row in rows],
         error=error,
         comparison=comparison,
@@ -145,7 +139,7 @@ def judge_matches(
         from_pairs=bool(len(e_cam)),
         e_cam_mm=e_cam,
         least_p=least_p,
-        truth=_truth([row["image"] for row in rows], truth),
+        truth=_truth(images, truth),
     )
 
 
@@ -198,9 +192,20 @@ def _image_rows(verdicts: Verdicts) -> list[dict[str, Any]]:
     return rows
 
 
-def _readings(rows: list[dict[str, str]], samples: EmSamples, path: Path) -> EmSamples:
-    t_s = numbers(rows, ("t_s",), path)[:, 0] if "t_s" in rows[0] else None
-    return samples.for_images([row["image"] for row in rows], t_s)
+def _read(matches: Path, em: str | Path) -> tuple[list[dict[str, str]], list[str], EmSamples, list[str]]:
+    """Rows, their names, the reading of each, and what is missing in each ("": nothing)."""
+    rows = read_csv(matches, ("calyx", *POSE_COLUMNS), "match")
+    column = next((name for name in ("image", "frame") if name in rows[0]), None)
+    if column is None:
+        raise InputError(f"The match file {matches} lacks a column image (or frame, as `track` writes it).")
+    images = [row[column] for row in rows]
+    t_s = numbers(rows, ("t_s",), matches)[:, 0] if "t_s" in rows[0] else None
+    samples = read_em_samples(em).for_images(images, t_s)
+    visible = np.isfinite(samples.position_mm).all(axis=1).tolist()
+    error = [_what_is_missing(row, seen) for row, seen in zip(rows, visible, strict=True)]
+    if all(error):
+        raise InputError(f"None of the {len(rows)} rows of {matches} can be judged; the first: {error[0]}.")
+    return rows, images, samples, error
 
 
 def _what_is_missing(row: dict[str, str], seen: bool) -> str:
