@@ -19,7 +19,6 @@ import numpy as np
 
 from benchmarks._results import Report, overrides
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.errors import FeatureError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.hardware import (
     LATER,
@@ -100,10 +99,7 @@ def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, Callable[..
     localizer = Localizer(build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1))
 
     def locate(frame: Frame, tracker: TrackerSample | None) -> dict[str, Any]:
-        try:
-            row = match_row(localizer.locate(frame.image))
-        except FeatureError as error:
-            return {"error": str(error)}
+        row = match_row(localizer.locate(frame.image))
         return {name: value for name, value in row.items() if name != "seconds"}
 
     return World(kidney, RaycastRenderer(kidney.mesh, lens)), locate

@@ -72,8 +72,11 @@ def test_folders_and_videos_that_cannot_be_used_are_refused(tmp_path):
     with pytest.raises(InputError, match="not a video"):
         VideoCamera(tmp_path / "none.mp4")
     (tmp_path / "broken.png").write_bytes(b"nothing")
-    with FolderCamera(tmp_path, fps=0) as camera, pytest.raises(InputError, match=r"broken\.png is not a picture"):
-        camera.read()
+    cv2.imwrite(str(tmp_path / "good.png"), np.zeros((4, 4), np.uint8))
+    with FolderCamera(tmp_path, fps=0) as camera:
+        with pytest.raises(InputError, match=r"broken\.png is not a picture"):
+            camera.read()
+        assert camera.read().source == "good.png"
 
 
 class Capture:

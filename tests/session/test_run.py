@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, FeatureError
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.hardware import (
     Frame,
@@ -155,6 +155,18 @@ def test_pictures_whose_turn_comes_late_are_kept_but_not_located_and_replay_agre
     assert 3 < live.counts["Result"] < 20 and live.not_located == live.counts["Frame"] - live.counts["Result"]
     again = run_session(Replay(tmp_path / "run", 0), None, locate)
     assert [(r.frame, r.row["crc"]) for r in again.results] == [(r.frame, r.row["crc"]) for r in live.results]
+
+
+def test_a_picture_that_shows_too_little_has_a_row_with_its_error(tmp_path):
+    def locate(frame, tracker):
+        if frame.stamp.sequence % 2:
+            raise FeatureError("too dark")
+        return {"calyx": "B"}
+
+    with make_rig() as rig, Recorder(tmp_path / "run") as recorder:
+        live = run_session(Live(rig, duration_s=0.5), recorder, locate)
+    assert [r.row for r in live.results][:2] == [{"calyx": "B"}, {"error": "too dark"}]
+    assert [r.row for r in Replay(tmp_path / "run").results()] == [r.row for r in live.results]
 
 
 class Shaky(Tracker):

@@ -7,7 +7,8 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -152,29 +153,36 @@ class _PlayedCamera(LensCamera):
         if fps < 0:
             raise InputError(f"fps must be 0 or more, got {fps}.")
         self.fps = fps
-        self._pictures: Iterator[tuple[Image, bytes | None, str, str]] = iter(())
-        self._count, self._start_s = 0, 0.0
+        self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> Frame:
-        """Wait for the next picture's time; raises as `Camera.read` does."""
+        """Wait for the next picture's time; raises as `Camera.read` does.
+
+        Raises:
+            InputError: that picture cannot be read or has another size than the calibration; the next call goes on.
+        """
         self._check_connected()
         if self.fps:
-            wait = self._start_s + self._count / self.fps - time.monotonic()
+            wait = self._start_s + self._next / self.fps - time.monotonic()
             time.sleep(max(0.0, min(wait, timeout_s)))
             if wait > timeout_s:
                 raise DeviceTimeoutError(f"The next picture is not due within {timeout_s} s.")
-        try:
-            image, encoded, suffix, source = next(self._pictures)
-        except StopIteration:
-            raise SourceAtEndError(f"The pictures are at an end after {self._count}.") from None
-        self._count += 1
-        return Frame(self._stamp(), image, encoded, suffix, source)
+        number, stamp = self._next, self._stamp()
+        self._next += 1
+        image, encoded, suffix, source = self._picture(number)
+        self._check_size(image)
+        return Frame(stamp, image, encoded, suffix, source)
 
-    def _begin(self, pictures: Iterator[tuple[Image, bytes | None, str, str]]) -> None:
-        self._pictures, self._count, self._start_s = pictures, 0, time.monotonic()
+    @abstractmethod
+    def _picture(self, number: int) -> tuple[Image, bytes | None, str, str]:
+        """Picture, own bytes, file type and name of the picture ``number``; asked for in order from 0.
 
-    def _close(self) -> None:
-        self._pictures = iter(())
+        Raises:
+            SourceAtEndError: there are no more.
+        """
+
+    def _open(self) -> None:
+        self._next, self._start_s = 0, time.monotonic()
 
 
 class FolderCamera(_PlayedCamera):
@@ -192,16 +200,17 @@ class FolderCamera(_PlayedCamera):
         if not self.names:
             raise InputError(f"There is no picture in {self.folder}; expected files {' '.join(IMAGE_SUFFIXES)}.")
 
-    def _open(self) -> None:
-        self._begin(self._files())
-
-    def _files(self) -> Iterator[tuple[Image, bytes | None, str, str]]:
-        for name in self.names:
-            path = self.folder / name
+    def _picture(self, number: int) -> tuple[Image, bytes | None, str, str]:
+        if number >= len(self.names):
+            raise SourceAtEndError(f"The pictures of {self.folder} are at an end after {len(self.names)}.")
+        path = self.folder / self.names[number]
+        try:
             encoded = path.read_bytes()
-            image = decode_image(encoded, str(path))
-            self._check_size(image)
-            yield image, encoded, path.suffix[1:].lower(), name
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+        return decode_image(encoded, str(path)), encoded, path.suffix[1:].lower(), path.name
+
+    def _close(self) -> None: ...
 
 
 class VideoCamera(_PlayedCamera):
@@ -218,27 +227,29 @@ class VideoCamera(_PlayedCamera):
 
     def __init__(self, path: str | Path, fps: float | None = None, calibration: str | Path | None = None) -> None:
         self.path = Path(path)
+        self._capture = self._opened()
+        own = float(self._capture.get(cv2.CAP_PROP_FPS)) or 15.0
+        self._capture.release()
+        super().__init__(own if fps is None else fps, calibration)
+
+    def _picture(self, number: int) -> tuple[Image, bytes | None, str, str]:
+        ok, image = self._capture.read()
+        if not ok:
+            raise SourceAtEndError(f"{self.path} is at an end after {number} pictures.")
+        return image, None, "png", str(number)
+
+    def _opened(self) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(str(self.path)) if self.path.is_file() else None
         if capture is None or not capture.isOpened():
             raise InputError(f"{self.path} is not a video that OpenCV can read.")
-        own = float(capture.get(cv2.CAP_PROP_FPS)) or 15.0
-        capture.release()
-        super().__init__(own if fps is None else fps, calibration)
+        return capture
 
     def _open(self) -> None:
-        self._begin(self._frames())
+        super()._open()
+        self._capture = self._opened()
 
-    def _frames(self) -> Iterator[tuple[Image, bytes | None, str, str]]:
-        capture = cv2.VideoCapture(str(self.path))
-        try:
-            number = 0
-            while (got := capture.read())[0]:
-                image = got[1]
-                self._check_size(image)
-                yield image, None, "png", str(number)
-                number += 1
-        finally:
-            capture.release()
+    def _close(self) -> None:
+        self._capture.release()
 
 
 def decode_image(encoded: bytes, where: str) -> Image:

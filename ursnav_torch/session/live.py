@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError
+from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.hardware import (
     Control,
     Device,
@@ -132,6 +132,8 @@ class Live:
                 if not silent:
                     self._tell("warning", f"{name}: {error}")
                 silent = True
+            except InputError as error:  # one picture that cannot be used
+                self._tell("error", f"{name}: {error}")
             except DeviceError as error:
                 faults += 1
                 self._tell("error", f"{name}: {error}")

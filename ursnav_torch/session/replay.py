@@ -68,9 +68,8 @@ class Replay:
 
     def results(self) -> list[Result]:
         """The results as they were recorded."""
-        return [
-            e for data in self._lines() if data.get("kind") == "result" and isinstance(e := from_line(data), Result)
-        ]
+        events = (from_line(data) for data in self._lines() if data["kind"] == "result")
+        return [event for event in events if isinstance(event, Result)]
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         with (self.path / EVENTS).open("rb") as file:

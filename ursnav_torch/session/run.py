@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from ursnav_torch.errors import UrsnavError
 from ursnav_torch.hardware import Frame, Stamper, TrackerSample
 from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.live import Live
@@ -54,7 +55,8 @@ def run_session(
     Args:
         source: a live rig or a record.
         recorder: where everything goes, or None.
-        locate: computes a row of plain values from a picture and the newest EM sample before it.
+        locate: computes a row of plain values from a picture and the newest EM sample before it; where it raises the
+            package's own errors, the row holds only ``error``.
         on_event: sees every event, results included; must be quick.
         keep_results: False for sessions without end: results then go to recorder and observer alone.
 
@@ -89,10 +91,18 @@ def run_session(
             if late or (chosen is not None and event.stamp.sequence not in chosen):
                 summary.not_located += 1
             else:
-                take(Result(stamp(), event.stamp.sequence, locate(event, tracker)))
+                take(Result(stamp(), event.stamp.sequence, _row(locate, event, tracker)))
     for kind, (first, last) in spans.items():
         if kind in ("Frame", "TrackerSample", "CommandSample") and (lost := last - first + 1 - summary.counts[kind]):
             summary.lost[kind] = lost
     summary.dropped = source.dropped if isinstance(source, Live) else 0
     summary.seconds = time.monotonic() - begun
     return summary
+
+
+def _row(locate: Locate, frame: Frame, tracker: TrackerSample | None) -> dict[str, Any]:
+    """The row of a picture; one that cannot be located has only an ``error``."""
+    try:
+        return locate(frame, tracker)
+    except UrsnavError as error:
+        return {"error": str(error)}
