@@ -9,12 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
+
+
+torch.set_num_threads(1)  # pictures are small: more threads only wait for each other
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,16 +12,15 @@ def main(config: Any) -> int:
 
     from ursnav_torch.localization import Localizer
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer import match_images
+    from ursnav_torch.viewer import check_results, match_images
 
+    out, report = caller_path(config.out), None if config.report is None else caller_path(config.report)
+    check_results(out, report, config.overwrite)
     vid = load_vid(caller_path(config.vid))
     if config.camera:
         vid.check_lens(instantiate(config.camera))
     localizer = Localizer(vid, instantiate(config.matching), instantiate(config.localization))
-    report = None if config.report is None else caller_path(config.report)
-    rows = match_images(
-        localizer, str(caller_path(config.images)), caller_path(config.out), report, config.overwrite, progress
-    )
+    rows = match_images(localizer, str(caller_path(config.images)), out, report, config.overwrite, progress)
     wrong = sum(1 for row in rows if row.get("error"))
     unsure = sum(1 for row in rows if row.get("accepted") is False)
     print(

@@ -27,11 +27,10 @@ def find_images(where: str) -> tuple[Path, list[Path]]:
     if path.is_file():
         return path.parent, [path]
     if path.is_dir():
-        base, found = path, [p for p in path.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+        base, found = path, [p for p in path.rglob("*") if _is_picture(p)]
         what = f"The folder {path} holds no picture"
     else:
-        found = [Path(p) for p in glob.glob(str(path), recursive=True)]
-        found = [p for p in found if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+        found = [p for p in map(Path, glob.glob(str(path), recursive=True)) if _is_picture(p)]
         base = path.parent if found and all(p.parent == path.parent for p in found) else Path(_fixed_part(path))
         what = f"There is no picture at {path}"
     if not found:
@@ -70,6 +69,11 @@ def match_row(location: Location) -> dict[str, Any]:
         "accepted": location.accepted,
         "seconds": location.seconds,
     }
+
+
+def _is_picture(path: Path) -> bool:
+    """By its name; a link that leads nowhere counts, and gets a row that says so."""
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.is_dir()
 
 
 def _fixed_part(pattern: Path) -> str:

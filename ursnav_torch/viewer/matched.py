@@ -11,6 +11,17 @@ from ursnav_torch.localization import MATCH_COLUMNS, Localizer, find_images, loc
 from ursnav_torch.viewer.report import MatchReport
 
 
+def check_results(out: Path, report: Path | None, overwrite: bool) -> None:
+    """Refuse to replace what `match_images` would write to; so that nobody waits for the refusal.
+
+    Raises:
+        InputError: see `check_output`.
+    """
+    check_output_file(out, overwrite)
+    if report is not None:
+        check_output(report, overwrite)
+
+
 def match_images(
     localizer: Localizer,
     images: str,
@@ -35,10 +46,9 @@ def match_images(
         The rows, keyed by `MATCH_COLUMNS`.
     """
     base, paths = find_images(images)
-    check_output_file(out, overwrite)
+    check_results(out, report, overwrite)
     page = None
     if report is not None:
-        check_output(report, overwrite)
         shutil.rmtree(partial_path(report), ignore_errors=True)
         partial_path(report).mkdir(parents=True)
         page = MatchReport(partial_path(report), localizer.vid)
