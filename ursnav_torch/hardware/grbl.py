@@ -238,7 +238,7 @@ class GrblRobot(Robot):
             line = self._checked_line(deadline)
             if line == "ok":
                 return
-            if not line.startswith(("[", "<")):
+            if not line.startswith(("[", "<", ">")):  # news, reports and start-up lines are no answers
                 raise DeviceProtocolError(f"{self.port} answered {line!r} to {command!r}; expected 'ok'.")
 
     def _checked_line(self, deadline: float) -> str:
