@@ -15,6 +15,7 @@ def main(config: Any) -> None:
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import learn_confidence
     from ursnav_torch.vid import PlanSettings, build_vid
+    from ursnav_torch.viewer import report_look_alikes
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)
@@ -36,6 +37,8 @@ def main(config: Any) -> None:
     )
     names = ", ".join(f"{c.name} {(vid.calyx == i).sum()}" for i, c in enumerate(kidney.calyces))
     print(f"{len(vid)} views in {out} (scale {kidney.scale:g}); views a calyx: {names}")
+    for sentence in report_look_alikes(vid):
+        print(sentence)
 
 
 if __name__ == "__main__":

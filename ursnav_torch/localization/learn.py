@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.files import Progress, no_progress
 from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.localization.ambiguity import find_look_alikes
 from ursnav_torch.localization.confidence import evidence, fit
 from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.matching import one_thread_an_operation
-from ursnav_torch.rendering import Renderer
+from ursnav_torch.rendering import WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, none_pictures, simulate
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
 
 #: Share of pictures that show no calyx among those learned from.
 NONE_SHARE = 0.2
+#: Pictures drawn in one state of a moved and swollen kidney.
+PICTURES_A_WARP = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +41,27 @@ class Query:
     preset: str
 
 
-def simulated_queries(vid: Vid, renderer: Renderer, plan: PlanSettings, rng: np.random.Generator) -> Iterator[Query]:
-    """A picture from every pose of a plan, the presets of sensor faults taking turns."""
+def simulated_queries(
+    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, rng: np.random.Generator
+) -> Iterator[Query]:
+    """A picture from every pose of a plan, the presets of sensor faults taking turns.
+
+    ``in_vivo_like`` pictures are drawn in a kidney that has moved and swollen since the scan; their pose is the one
+    relative to the wall around.
+    """
     views = plan_views(vid.kidney, LumenDistance.from_kidney(vid.kidney), plan)
-    names = list(PRESETS)
+    renderer, names = make_renderer(vid.kidney.mesh, vid.camera), list(PRESETS)
     for i, (T, calyx) in enumerate(zip(views.T_kidney_camera, views.calyx, strict=True)):
         name = names[i % len(names)]
-        yield Query(simulate(renderer, T, draw_faults(PRESETS[name], rng), rng), T, int(calyx), name)
+        faults = draw_faults(PRESETS[name], rng)
+        if name != "in_vivo_like":
+            yield Query(simulate(renderer, T, faults, rng), T, int(calyx), name)
+            continue
+        if i // len(names) % PICTURES_A_WARP == 0:
+            warp = WarpSettings(amplitude_mm=rng.uniform(0.5, 2.0), distension=rng.uniform(0.0, 0.1))
+            moved = deform_mesh(vid.kidney.mesh, warp, rng)
+            inside = make_renderer(moved.mesh, vid.camera)
+        yield Query(simulate(inside, moved.carry(T), faults, rng), T, int(calyx), name)
 
 
 def learn_confidence(
@@ -66,14 +83,14 @@ def learn_confidence(
     Returns:
         Plain data for `Confidence.from_calibration`.
     """
-    renderer = make_renderer(vid.kidney.mesh, vid.camera)
     rng = np.random.default_rng(plan.seed + 1)
     alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
     localizer = Localizer(vid)
-    numbers, right = [], []
+    numbers, shown, answered, far = [], [], [], []
+    lumen = LumenDistance.from_kidney(vid.kidney)
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
     with torch.inference_mode(), one_thread_an_operation(), progress(total, "pictures to learn from") as advance:
-        for image, calyx in _pictures(vid, renderer, alike, rng):
+        for image, calyx, T in _pictures(vid, make_renderer, alike, rng):
             advance(1)
             try:
                 ranking = localizer.rank(localizer.features(image))
@@ -81,18 +98,28 @@ def learn_confidence(
                 continue
             seen = evidence(ranking.distance, localizer.calyces(ranking))
             numbers.append(seen.numbers())
-            right.append(seen.calyx == calyx)
-    learned = fit(np.array(numbers), np.array(right))
-    return {"confidence": list(learned.weights), "queries": len(right), "right": int(np.sum(right))}
+            shown.append(calyx)
+            answered.append(seen.calyx)
+            far.append(lumen.to_calyces(T[:3, 3])[0, calyx] if calyx >= 0 else np.nan)
+    right = np.array(shown) == np.array(answered)
+    learned = fit(np.array(numbers), right)
+    look_alikes = find_look_alikes(np.array(shown), np.array(answered), np.array(far), len(vid.kidney.calyces))
+    return {
+        "confidence": list(learned.weights),
+        "queries": len(right),
+        "right": int(right.sum()),
+        "look_alikes": look_alikes.to_dict(),
+    }
 
 
 def _pictures(
-    vid: Vid, renderer: Renderer, plan: PlanSettings, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.uint8], int]]:
-    """Pictures and the calyx each shows; -2, which no answer equals, for pictures of nothing."""
+    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, rng: np.random.Generator
+) -> Iterator[tuple[NDArray[np.uint8], int, NDArray[np.float64]]]:
+    """Pictures, the calyx each shows and its pose; -2, which no answer equals, for pictures of nothing."""
     count = 0
-    for query in simulated_queries(vid, renderer, plan, rng):
+    for query in simulated_queries(vid, make_renderer, plan, rng):
         count += 1
-        yield query.image, query.calyx
+        yield query.image, query.calyx, query.T_kidney_camera
+    renderer = make_renderer(vid.kidney.mesh, vid.camera)
     for image, _ in none_pictures(rng, round(NONE_SHARE * count), renderer, vid.T_kidney_camera):
-        yield image, -2
+        yield image, -2, np.full((4, 4), np.nan)

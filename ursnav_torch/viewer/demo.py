@@ -63,10 +63,9 @@ def run_demo(
     (work / "images").mkdir(parents=True, exist_ok=True)
     alike = replace(plan, views_per_calyx=pictures_per_calyx, passage_views=0, seed=plan.seed + 2)
     rng = np.random.default_rng(alike.seed)
-    renderer = make_renderer(vid.kidney.mesh, vid.camera)
     queries = {}
     with progress(pictures_per_calyx * len(vid.kidney.calyces), "pictures drawn") as advance:
-        for i, query in enumerate(simulated_queries(vid, renderer, alike, rng)):
+        for i, query in enumerate(simulated_queries(vid, make_renderer, alike, rng)):
             queries[f"{i:03d}_{query.preset}.png"] = query
             cv2.imwrite(str(work / "images" / f"{i:03d}_{query.preset}.png"), query.image)
             advance(1)

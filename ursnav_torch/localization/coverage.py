@@ -1,0 +1,228 @@
+"""Which calyces were seen, and how much of each: the wall painted patch by patch from the scope's poses."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.rendering import RayScene
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+UNSEEN, GLIMPSED, INSPECTED, OUT_OF_REACH = "unseen", "glimpsed", "inspected", "out of reach"
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageSettings:
+    """When wall counts as seen; mm at the kidney's scale 1.
+
+    Attributes:
+        patch_mm: side of the patches that the wall is divided into.
+        calyx_mm: wall of a calyx's own branch within this distance of its tip, along the lumen, is the calyx's.
+        nearest_mm, farthest_mm: distances from which a patch is seen sharp and large enough.
+        incidence_deg: a patch seen at a greater slant is not seen.
+        edge_share: part of the lens's half field within which a patch must lie.
+        dwell_s: a patch is seen when it was in view for this long altogether.
+        longest_gap_s: a picture counts for the time until the next, but for no longer than this.
+        glimpsed, inspected: shares of a calyx's wall, of what the scope can see of it at all, from which on it is
+            glimpsed and inspected.
+    """
+
+    patch_mm: float = 1.0
+    calyx_mm: float = 10.0
+    nearest_mm: float = 1.0
+    farthest_mm: float = 12.0
+    incidence_deg: float = 75.0
+    edge_share: float = 0.95
+    dwell_s: float = 0.3
+    longest_gap_s: float = 0.25
+    glimpsed: float = 0.1
+    inspected: float = 0.6
+
+    def __post_init__(self) -> None:
+        if not 0 < self.nearest_mm < self.farthest_mm or not 0 < self.incidence_deg < 90 or self.patch_mm <= 0:
+            raise InputError(
+                "Coverage needs 0 < nearest_mm < farthest_mm, 0 < incidence_deg < 90 and patch_mm > 0, got "
+                f"{self.nearest_mm}, {self.farthest_mm}, {self.incidence_deg} and {self.patch_mm}."
+            )
+        if not 0 < self.glimpsed <= self.inspected <= 1:
+            raise InputError(f"Expected 0 < glimpsed <= inspected <= 1, got {self.glimpsed} and {self.inspected}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """The wall in pieces of about ``patch_mm``.
+
+    Attributes:
+        center_mm: (P, 3) area-weighted middle of each, kidney frame.
+        normal: (P, 3) unit, out of the lumen.
+        area_mm2: (P,).
+        calyx: (P,) the calyx that a patch belongs to, -1 for none.
+        of_face: (F,) the patch of each triangle.
+    """
+
+    center_mm: Array
+    normal: Array
+    area_mm2: Array
+    calyx: IntArray
+    of_face: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class CalyxCoverage:
+    """How far one calyx has been seen.
+
+    Attributes:
+        calyx: its name.
+        pole: its pole, blank where not known.
+        verdict: ``unseen``, ``glimpsed``, ``inspected``, or ``out of reach`` where no view shows any of it.
+        share: part of its wall that was seen, of what the scope can see.
+        reachable: part of its wall that the scope can see at all.
+        area_mm2: of its wall.
+    """
+
+    calyx: str
+    pole: str
+    verdict: str
+    share: float
+    reachable: float
+    area_mm2: float
+
+
+class Coverage:
+    """Paints the wall as poses come in.
+
+    Args:
+        kidney, camera: whose wall, through which lens.
+        lumen: distances along the lumen.
+        T_reachable: (V, 4, 4) poses that the scope can take; what none of them sees is out of reach. The views of a
+            VID were planned as such. None takes all wall as in reach.
+        settings: what counts as seen.
+    """
+
+    def __init__(
+        self,
+        kidney: Kidney,
+        camera: Camera,
+        lumen: LumenDistance,
+        T_reachable: Array | None = None,
+        settings: CoverageSettings | None = None,
+    ) -> None:
+        self.kidney, self.camera, self.settings = kidney, camera, settings or CoverageSettings()
+        self.patches = divide_wall(kidney, lumen, self.settings)
+        self._scene, self._tree = RayScene(kidney.mesh), cKDTree(self.patches.center_mm)
+        self._half_field = _half_field(camera)
+        self.seen_s = np.zeros(len(self.patches.area_mm2))
+        self.in_reach = np.ones(len(self.seen_s), bool)
+        if T_reachable is not None:
+            self.in_reach[:] = False
+            for T in T_reachable:
+                self.in_reach[self.in_view(T)] = True
+
+    def add(self, T_kidney_camera: Array, seconds: float) -> None:
+        """Count a picture from a pose (4, 4) that stood for some seconds."""
+        self.seen_s[self.in_view(T_kidney_camera)] += min(max(seconds, 0.0), self.settings.longest_gap_s)
+
+    def seen(self) -> NDArray[np.bool_]:
+        """(P,) which patches were in view long enough."""
+        return self.seen_s >= self.settings.dwell_s - 1e-9
+
+    def in_view(self, T_kidney_camera: Array) -> IntArray:
+        """Indices of the patches seen from a pose: near enough, not at a slant, in the picture, and not hidden."""
+        s, unit = self.settings, self.kidney.scale
+        position = np.asarray(T_kidney_camera, float)[:3, 3]
+        near = np.array(self._tree.query_ball_point(position, s.farthest_mm * unit), int)
+        way = self.patches.center_mm[near] - position
+        distance = np.linalg.norm(way, axis=1)
+        ray = way / np.maximum(distance, 1e-9)[:, None]
+        keep = (distance >= s.nearest_mm * unit) & (ray @ T_kidney_camera[:3, 2] > np.cos(self.settings.edge_share * self._half_field))
+        keep &= np.sum(ray * self.patches.normal[near], axis=1) > np.cos(np.radians(s.incidence_deg))
+        keep[keep] = self.camera.project(ray[keep] @ T_kidney_camera[:3, :3])[1]
+        near, distance, ray = near[keep], distance[keep], ray[keep]
+        if not len(near):
+            return near
+        depth, _ = self._scene.cast(position, ray)
+        return near[depth >= distance - s.patch_mm * unit]
+
+    def calyces(self) -> list[CalyxCoverage]:
+        """The verdict on every calyx."""
+        seen, s, found = self.seen(), self.settings, []
+        for index, calyx in enumerate(self.kidney.calyces):
+            own = self.patches.calyx == index
+            area = self.patches.area_mm2 * own
+            total, reachable = float(area.sum()), float(area[self.in_reach].sum())
+            share = float(area[self.in_reach & seen].sum()) / reachable if reachable > 0 else 0.0
+            verdict = INSPECTED if share >= s.inspected else GLIMPSED if share >= s.glimpsed else UNSEEN
+            if reachable <= 0:
+                verdict = OUT_OF_REACH
+            found.append(
+                CalyxCoverage(calyx.name, calyx.pole, verdict, share, reachable / total if total else 0.0, total)
+            )
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``FILE.coverage.json``."""
+        area, seen = self.patches.area_mm2, self.seen()
+        reachable = float(area[self.in_reach].sum())
+        return {
+            "calyces": {c.calyx: {k: v for k, v in _rounded(asdict(c)).items() if k != "calyx"} for c in self.calyces()},
+            "share": round(float(area[seen & self.in_reach].sum()) / reachable, 4) if reachable else 0.0,
+            "reachable": round(reachable / float(area.sum()), 4),
+            "area_mm2": round(float(area.sum()), 1),
+            "settings": asdict(self.settings),
+        }
+
+
+def divide_wall(kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings) -> Patches:
+    """Patches of a kidney's wall: triangles joined that lie in one cube of the patches' side and face alike."""
+    mesh, side = kidney.mesh, settings.patch_mm * kidney.scale
+    fine = mesh.area_faces > 1e-12
+    centers, normals = np.asarray(mesh.triangles_center), np.asarray(mesh.face_normals)
+    cell = np.column_stack([np.floor(centers / side), np.abs(normals).argmax(1), normals.max(1) > 1e-9])
+    of_face = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    area = np.where(fine, mesh.area_faces, 0.0)
+    total = np.bincount(of_face, area)
+
+    def mean(values: Array) -> Array:
+        return np.stack([np.bincount(of_face, area * values[:, i]) for i in range(3)], 1) / np.maximum(
+            total, 1e-12
+        )[:, None]  # fmt: skip
+
+    center, normal = mean(centers), mean(normals)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return Patches(center, normal, total, calyx_of_wall(center - 0.25 * normal, kidney, lumen, settings), of_face)
+
+
+def calyx_of_wall(points_mm: Array, kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings) -> IntArray:
+    """(P,) the calyx that places on the wall (P, 3) belong to, -1 for none: the nearest tip along the lumen, where
+    it is near and the nearest part of the centerline leads to that calyx alone."""
+    tree = kidney.centerline
+    away = np.maximum(tree.radius_mm, 1e-6)
+    _, nodes = cKDTree(tree.points_mm).query(points_mm, k=min(12, len(away)))
+    nodes = np.asarray(nodes).reshape(len(points_mm), -1)
+    relative = np.linalg.norm(points_mm[:, None] - tree.points_mm[nodes], axis=-1) / away[nodes]
+    node = nodes[np.arange(len(nodes)), relative.argmin(1)]
+    to_tip = lumen.to_calyces(points_mm)
+    nearest = to_tip.argmin(1)
+    near = to_tip.min(1) <= settings.calyx_mm * kidney.scale
+    return np.where(near & (tree.calyx[node] == nearest), nearest, -1)
+
+
+def _half_field(camera: Camera) -> float:
+    """Angle from the optical axis to the middle of the picture's nearest edge, or to its circle's, radians."""
+    sides = np.array([[camera.cx, 0.0], [0.0, camera.cy], [camera.cx, camera.height - 1.0],
+                      [camera.width - 1.0, camera.cy]])  # fmt: skip
+    rays = camera.rays(sides)[0]
+    angle = float(np.arccos(np.clip(rays[:, 2], -1, 1)).min())
+    return min(angle, np.radians(camera.fov_deg) / 2) if camera.fov_deg else angle
+
+
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: round(v, 4) if isinstance(v, float) else v for k, v in values.items()}
