@@ -126,35 +126,38 @@ def closed_curves(count: int, points: int, seed: int = 0) -> Floats:
 def edge_views(count: int, points: int, seed: int = 0) -> Floats:
     """Edge maps (count, points, 2) px as an endoscope sees them in a picture of 250 x 250, all different.
 
-    Each holds a few closed or open, bent and dented curves of different size, `points` points evenly by length.
+    Each holds two to five closed or open, bent and dented curves of different size, `points` points evenly by
+    length.
     """
-    out = np.empty((count, points, 2))
-    for i in range(count):
-        rng = np.random.default_rng([seed, i])
-        out[i] = _evenly(np.concatenate([_curve(rng) for _ in range(rng.integers(2, 6))]), points)
-    return out
+    parts = [_some_views(min(1000, count - i), points, [seed, i]) for i in range(0, count, 1000)]
+    return np.concatenate(parts) if parts else np.empty((0, points, 2))
 
 
-def _curve(rng: np.random.Generator) -> Floats:
-    """One curve as short segments (n, 2, 2): start and end."""
-    t = np.linspace(0, math.tau * (1.0 if rng.random() < 0.5 else rng.uniform(0.3, 0.8)), 120)
+def _some_views(count: int, points: int, seed: list[int], most: int = 5, steps: int = 120) -> Floats:
+    rng = np.random.default_rng(seed)
+    each = (count, most, 1)
+    span = np.where(rng.random(each) < 0.5, 1.0, rng.uniform(0.3, 0.8, each))
+    t = np.linspace(0, 1, steps) * math.tau * span
     radius = np.ones_like(t)
     for k in range(2, 8):
-        radius += rng.normal(0, 0.45 / k) * np.cos(k * t + rng.uniform(0, math.tau))
-    shape = radius[:, None] * np.stack([np.cos(t), np.sin(t) * rng.uniform(0.4, 1)], -1) * rng.uniform(15, 70)
-    angle = rng.uniform(0, math.tau)
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    line = np.clip(shape @ turn + rng.uniform(60, 190, 2), 2, 248)
-    return np.stack([line[:-1], line[1:]], 1)
+        radius += rng.normal(0, 0.45 / k, each) * np.cos(k * t + rng.uniform(0, math.tau, each))
+    radius *= rng.uniform(15, 70, each)
+    x, y = radius * np.cos(t), radius * np.sin(t) * rng.uniform(0.4, 1, each)
+    angle = rng.uniform(0, math.tau, each)
+    turned = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], -1)
+    lines = np.clip(turned + rng.uniform(60, 190, (count, most, 1, 2)), 2, 248)
+    drawn = np.arange(most) < rng.integers(2, most + 1, (count, 1))
+    start, step = lines[:, :, :-1].reshape(count, -1, 2), np.diff(lines, axis=2).reshape(count, -1, 2)
+    length = np.linalg.norm(step, axis=2) * np.repeat(drawn, steps - 1, 1)
+    return np.stack([_evenly(*view, points) for view in zip(start, step, length, strict=True)])
 
 
-def _evenly(segments: Floats, points: int) -> Floats:
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+def _evenly(start: Floats, step: Floats, length: Floats, points: int) -> Floats:
+    """Points (points, 2) evenly along segments from `start` (n, 2) by `step` (n, 2), `length` (n,) of each used."""
     ends = np.cumsum(length)
     at = (np.arange(points) + 0.5) * ends[-1] / points
-    k = np.minimum(np.searchsorted(ends, at), len(segments) - 1)
-    share = (at - (ends[k] - length[k])) / np.maximum(length[k], 1e-9)
-    return segments[k, 0] + share[:, None] * (segments[k, 1] - segments[k, 0])
+    k = np.searchsorted(ends, at)
+    return start[k] + ((at - ends[k] + length[k]) / length[k])[:, None] * step[k]
 
 
 def observe(view: Floats, rng: np.random.Generator, keep: float = 1.0, clutter: int = 0) -> Floats:
