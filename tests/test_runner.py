@@ -114,6 +114,8 @@ def test_quoting_survives_any_text(path: str) -> None:
 def test_only_paths_are_quoted() -> None:
     for argument in ("accept=0.5", "out", "--help", "report=null", "hydra.run.dir=x"):
         assert quote_path(argument, {"out", "report"}) == argument
+    assert quote_path("kidney.calyces=7", {"kidney.calyces"}) == "kidney.calyces=7", "a phantom's number"
+    assert quote_path("kidney.calyces=7.csv", {"kidney.calyces"}) == "kidney.calyces='7.csv'"
     assert quote_path("+kidney.path=a b", {"kidney.path"}) == "+kidney.path='a b'"
 
 

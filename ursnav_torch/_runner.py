@@ -75,6 +75,8 @@ def quote_path(argument: str, keys: set[str]) -> str:
     name, equals, value = argument.partition("=")
     if not equals or name.lstrip("+") not in keys or value == "null":
         return argument
+    if name == "kidney.calyces" and value.isdecimal():  # a phantom's number of calyces, not a file of them
+        return argument
     # To both grammars backslashes count only before what they escape (and at the end): there they are doubled.
     value = re.sub(r"(\\*)\$\{", r"\1\1\\${", value)
     value = re.sub(r"(\\*)'", r"\1\1\\'", value)
