@@ -43,12 +43,17 @@ class Features:
             for an extractor that compares points alone.
         edge_image: (H, W) bool, all edges before sampling, to be looked at.
         fields: (C, h, w) what the maps were sampled from, at the extractor's working size; empty without maps.
+        contrast: log10 of the median local contrast (in log intensity) of coarse structure: low for a wall or a
+            white-out.
+        grain: how much more contrast (log10) fine structure has than coarse: high for noise.
     """
 
     edges: EdgePoints
     maps: Tensor
     edge_image: NDArray[np.bool_]
     fields: Tensor
+    contrast: float = 0.0
+    grain: float = 0.0
 
 
 class Extractor(Protocol):

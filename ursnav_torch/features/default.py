@@ -12,10 +12,13 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
-from ursnav_torch.features.flatten import blur, flatten, masked_blur, remove_stripes
+from ursnav_torch.features.flatten import blur, flatten, local_contrast, masked_blur, remove_stripes
 from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import sample
+
+#: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
+COARSE = 0.024
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,10 @@ class DefaultExtractor:
         ]
         s, unit, mask = self.settings, self._unit, self._small_mask
         small = masked_blur(small, mask, max(s.relief_blur * unit, 0.5))
-        relief = flatten(small, mask, s.relief_reach * unit)
+        reach = s.relief_reach * unit
+        relief = flatten(small, mask, reach)
+        contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, reach)
+        grain = local_contrast(small, mask, reach) - contrast
         slopes = [gradient(masked_blur(relief, mask, b * unit)) * mask for b in s.edge_blurs]
         fields = torch.cat([relief[None], *slopes])
         ridge = thin_gradient(relief, s.contour_blur * unit) * self._contour_mask
@@ -96,7 +102,7 @@ class DefaultExtractor:
         keep = sample(found.points.numpy(), s.points, s.sampling, found.weight.numpy())
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
         maps = polar_maps(fields, self._polar)[0]
-        return Features(found.subset(torch.as_tensor(keep)), maps, full, fields)
+        return Features(found.subset(torch.as_tensor(keep)), maps, full, fields, contrast, grain)
 
     def _edges(self, ridge: Tensor) -> NDArray[np.bool_]:
         on = ridge[ridge > 1e-4]

@@ -74,6 +74,13 @@ def _least_squares(a: Tensor, b: Tensor) -> Tensor:
     return torch.stack([ss * cb - cs * sb, cc * sb - cs * cb]) / (cc * ss - cs * cs)
 
 
+def local_contrast(log_image: Tensor, mask: Tensor, sigma_px: float) -> float:
+    """log10 of the median, over the picture, of the local standard deviation of a log image (H, W)."""
+    detail = (log_image - masked_blur(log_image, mask, sigma_px)) * mask
+    spread = masked_blur(detail * detail, mask, sigma_px)[mask > 0].median().clamp_min(1e-12)
+    return float(spread.log10()) / 2
+
+
 def _smooth(rows: Tensor, weight: Tensor, kernel: Tensor) -> Tensor:
     """Weighted moving mean of (H,) with an odd kernel."""
     both = torch.stack([rows * weight, weight])[:, None]

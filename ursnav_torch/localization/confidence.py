@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import Tensor
 
+from ursnav_torch.features import Features
+
 Array = NDArray[np.float64]
 
 #: Width of the vote among near-best views: distances this much apart count 1 to e.
 VOTE_WIDTH = 0.012
 #: Used for a VID without calibration: intercept and one weight a number of `Evidence.numbers`.
-UNCALIBRATED = (0.0, 0.0, 0.0, 1.0)
+UNCALIBRATED = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,28 +29,34 @@ class Evidence:
         distance: of its best view.
         margin: how much farther the best view of any other calyx is.
         vote: share of the votes, each near-best view voting with exp(-distance / VOTE_WIDTH).
+        contrast, grain: of the picture, see `features.Features`.
     """
 
     calyx: int
     distance: float
     margin: float
     vote: float
+    contrast: float
+    grain: float
 
     def numbers(self) -> Array:
-        """(3,) the numbers that confidence is computed from: distance, margin, log-odds of the vote."""
+        """(5,) what confidence is computed from: distance, margin, log-odds of the vote, contrast, grain."""
         vote = min(max(self.vote, 1e-4), 1 - 1e-4)
-        return np.array([self.distance, min(self.margin, 0.15), math.log(vote / (1 - vote))])
+        odds = math.log(vote / (1 - vote))
+        return np.array([self.distance, min(self.margin, 0.15), odds, self.contrast, self.grain])
 
 
-def evidence(distance: Tensor, calyx: Tensor) -> Evidence:
-    """`Evidence` of views with distances (K,) ascending that observe calyces (K,)."""
+def evidence(distance: Tensor, calyx: Tensor, features: Features) -> Evidence:
+    """`Evidence` of a picture's views, with distances (K,) ascending, from which it observes calyces (K,)."""
     weight = torch.exp(-(distance - distance[0]) / VOTE_WIDTH)
     names, row = calyx.unique(return_inverse=True)
     votes = torch.zeros(len(names)).index_add_(0, row, weight)
     best = int(votes.argmax())
     own, other = distance[row == best], distance[row != best]
     margin = float(other[0] - own[0]) if len(other) else 1.0
-    return Evidence(int(names[best]), float(own[0]), margin, float(votes[best] / votes.sum()))
+    return Evidence(
+        int(names[best]), float(own[0]), margin, float(votes[best] / votes.sum()), features.contrast, features.grain
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +82,7 @@ class Confidence:
 
 
 def fit(numbers: Array, right: NDArray[np.bool_]) -> Confidence:
-    """Fit to evidence numbers (N, 3) and whether each answer was right (N,); lightly regularized."""
+    """Fit to evidence numbers (N, 5) and whether each answer was right (N,); lightly regularized."""
     center, spread = numbers.mean(0), numbers.std(0) + 1e-6
     x = np.column_stack([np.ones(len(numbers)), (numbers - center) / spread])
     sign = np.where(right, 1.0, -1.0)

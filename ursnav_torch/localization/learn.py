@@ -93,10 +93,11 @@ def learn_confidence(
         for image, calyx, T in _pictures(vid, make_renderer, alike, rng):
             advance(1)
             try:
-                ranking = localizer.rank(localizer.features(image))
+                features = localizer.features(image)
             except FeatureError:
                 continue
-            seen = evidence(ranking.distance, localizer.calyces(ranking))
+            ranking = localizer.rank(features)
+            seen = evidence(ranking.distance, localizer.calyces(ranking), features)
             numbers.append(seen.numbers())
             shown.append(calyx)
             answered.append(seen.calyx)

@@ -172,7 +172,7 @@ class Localizer:
         with torch.inference_mode(), one_thread_an_operation():
             features = self.features(image)
             ranking = self.rank(features)
-            seen = evidence(ranking.distance, self.calyces(ranking))
+            seen = evidence(ranking.distance, self.calyces(ranking), features)
         confidence = self._confidence.probability(seen)
         poses, rows = self._poses(ranking), self._best(self.calyces(ranking), seen.calyx)
         candidates = tuple(Candidate(int(ranking.views[i]), float(ranking.distance[i]), poses[i]) for i in rows)
