@@ -105,7 +105,7 @@ def _measure_memory(report: Report, group: str, path: Path, asked: Floats, threa
     queries = path.with_name("queries.npy")
     np.save(queries, asked)
     command = [sys.executable, "-c", _PROBE, str(path), str(queries), str(threads)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1])
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=Path(__file__).parents[1])
     opened, memory = map(float, done.stdout.split())
     report.add(group, "opening", "s", [opened])
     report.add(group, "greatest resident memory, 20 queries", "MiB", [memory])

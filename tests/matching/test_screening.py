@@ -51,7 +51,9 @@ def test_finds_a_turned_partial_cluttered_view(screen: Screen) -> None:
         kept = seen[: round(0.7 * len(seen))]
         query = torch.from_numpy(np.vstack([kept, rng.uniform(60, 190, (15, 2))])).float()
         assert seed in screen.shortlist(query, count=10).tolist()
-        views, distances = screen.nearest(query, settings=Matching(cost=PairCost(position_weight=1)), count=50)
+        views, distances = screen.nearest(
+            query, settings=Matching(cost=PairCost(position_weight=1, direction_weight=0.5)), count=50
+        )
         assert views[0] == seed
         assert (distances.diff() >= 0).all()
 

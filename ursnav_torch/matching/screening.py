@@ -94,8 +94,9 @@ class Screen:
             raise InputError(f"{path} cannot be opened as a screen ({error}); build it again.") from None
         if told.get("format") != _FORMAT:
             raise InputError(f"{path} has the format {told.get('format')!r}, expected {_FORMAT!r}; build it again.")
-        kept: dict[str, Any] = json.loads(told["settings"])
-        self.settings = Occupancy(**{k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()})
+        settings: dict[str, Any] = json.loads(told["settings"])
+        tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
+        self.settings = Occupancy(**tuples)
         self.points, self.mask, self.direction = (tensors[k] for k in ("points", "mask", "direction"))
         self._table, self._chance = tensors["table"].numpy(), tensors["chance"].numpy()
 
@@ -110,9 +111,7 @@ class Screen:
         """
         if not len(points):
             return np.zeros(len(self), np.float32)
-        points = points.float()
-        if direction is None:
-            direction = estimate_directions(points[None], torch.ones(1, len(points), dtype=torch.bool))[0]
+        points, direction = _with_direction(points, direction)
         kept = torch.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).round().long()
         rows = table_rows(points[kept], direction[kept], self.settings)
         out = np.empty(len(self), np.float32)
@@ -142,10 +141,19 @@ class Screen:
         count: int = 200,
     ) -> tuple[Tensor, Tensor]:
         """The `count` likeliest views (K,), nearest first, and their distances (K,) in full cost."""
+        points, direction = _with_direction(points, direction)
         views = self.shortlist(points, direction, count)
         distances = self.matcher(views, settings).distances(points, direction)
         order = distances.argsort(stable=True)
         return views[order], distances[order]
+
+
+def _with_direction(points: Tensor, direction: Tensor | None) -> tuple[Tensor, Tensor]:
+    """A query's points (N, 2) and directions (N,), estimated if there are none."""
+    points = points.float()
+    if direction is None:
+        direction = estimate_directions(points[None], torch.ones(1, len(points), dtype=torch.bool))[0]
+    return points, direction
 
 
 def _around(points: Tensor, mask: Tensor) -> Occupancy:
