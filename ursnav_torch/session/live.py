@@ -25,6 +25,7 @@ from ursnav_torch.session.events import Event, Snapshot
 
 logger = logging.getLogger(__name__)
 CONTROL_HZ = 50.0
+CATCH_UP_S = 0.1  # cycles that a busy machine delayed are made up for, up to this long ago
 RETRY_S = 1.0
 FAULTS_BEFORE_RECONNECT = 10
 
@@ -157,7 +158,7 @@ class Live:
         due = time.monotonic()
         while not self._end.wait(max(0.0, due - time.monotonic())):
             begun = time.monotonic()
-            due = max(due + 1 / CONTROL_HZ, begun)
+            due = max(due + 1 / CONTROL_HZ, begun - CATCH_UP_S)
             try:
                 for event in control.step():
                     if isinstance(event, Note):
