@@ -1,0 +1,136 @@
+"""Accuracy and confidence over a population of phantoms: ``python -m benchmarks.population``.
+
+Every phantom gets a VID of its own with confidence learned from its own simulated pictures, and is then asked with
+others: 3 pictures a calyx and kind of sensor faults. Arguments, each ``key=value``: ``phantoms=20`` ``pictures=3``
+``views=240`` (a calyx) ``work=DIR`` (keeps each phantom's answers;
+the same call goes on from there) ``out=FILE.json``.
+"""
+
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._results import Report, overrides
+from benchmarks._statistics import auroc, calibration_error, wilson
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.errors import FeatureError
+from ursnav_torch.features import DefaultSettings
+from ursnav_torch.files import write_json
+from ursnav_torch.geometry import angle_between
+from ursnav_torch.kidney import make_phantom_kidney
+from ursnav_torch.localization import Localizer, learn_confidence, simulated_queries
+from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.rendering.sensor import PRESETS, none_pictures
+from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+
+DEFAULTS = {"phantoms": 20, "pictures": 3, "views": 240, "work": "", "out": ""}
+MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the suite, print its tables and write its JSON file."""
+    settings = overrides(DEFAULTS, arguments)
+    report = Report("population", {k: v for k, v in settings.items() if k not in ("out", "work")})
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(settings["work"] or scratch)
+        work.mkdir(parents=True, exist_ok=True)
+        answers = []
+        for seed in range(settings["phantoms"]):
+            answers += phantom_answers(seed, settings, work)
+            print(f"phantom {seed + 1} of {settings['phantoms']}", file=sys.stderr)
+    _score(report, answers)
+    print(report.table())
+    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    return 0
+
+
+def phantom_answers(seed: int, settings: dict[str, Any], work: Path) -> list[dict[str, Any]]:
+    """Answers to one phantom's pictures, from the work folder where they lie there already."""
+    path = work / f"phantom_{seed:03d}_{settings['views']}_{settings['pictures']}.json"
+    if not path.exists():
+        plan = PlanSettings(views_per_calyx=settings["views"])
+        vid = _vid(seed, plan, work / f"vid_{seed:03d}_{settings['views']}")
+        write_json(path, {"answers": _ask(vid, plan, settings["pictures"], seed)})
+    return list(json.loads(path.read_text(encoding="utf-8"))["answers"])
+
+
+def _vid(seed: int, plan: PlanSettings, out: Path) -> Vid:
+    if (out / "vid.json").exists():
+        return load_vid(out)
+    learn = partial(learn_confidence, make_renderer=MAKE_RENDERER, plan=plan)
+    kidney = make_phantom_kidney(seed=1000 + seed)
+    return build_vid(kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, learn=learn)
+
+
+def _ask(vid: Vid, plan: PlanSettings, pictures: int, seed: int) -> list[dict[str, Any]]:
+    """A row for every simulated picture; poses as the scope looks into a calyx: 3 to 11 mm off, 10 degrees of tilt."""
+    rng = np.random.default_rng(50_000 + seed)
+    alike = replace(
+        plan,
+        views_per_calyx=pictures * len(PRESETS),
+        passage_views=0,
+        nearest_mm=3.0,
+        farthest_mm=11.0,
+        tilt_deg=8.0,
+        roll_deg=180.0,
+        seed=plan.seed + 77,
+    )
+    localizer, rows = Localizer(vid), []
+    for query in simulated_queries(vid, MAKE_RENDERER, alike, rng):
+        row: dict[str, Any] = {"preset": query.preset, "right": False, "confidence": 0.0, "accepted": False}
+        try:
+            found = localizer.locate(query.image)
+        except FeatureError:
+            rows.append(row)
+            continue
+        T = found.T_kidney_camera
+        row |= {
+            "right": found.calyx == query.calyx,
+            "confidence": found.confidence,
+            "accepted": found.accepted,
+            "position_mm": float(np.linalg.norm(T[:3, 3] - query.T_kidney_camera[:3, 3])),
+            "direction_deg": float(np.degrees(angle_between(T[:3, 2], query.T_kidney_camera[:3, 2]))),
+        }
+        rows.append(row)
+    renderer = MAKE_RENDERER(vid.kidney.mesh, vid.camera)
+    for image, kind in none_pictures(rng, 6, renderer, vid.T_kidney_camera):
+        try:
+            accepted = localizer.locate(image).accepted
+        except FeatureError:
+            accepted = False
+        rows.append({"preset": "none", "kind": kind, "accepted": accepted})
+    return rows
+
+
+def _score(report: Report, answers: list[dict[str, Any]]) -> None:
+    for preset in PRESETS:
+        own = [a for a in answers if a["preset"] == preset]
+        right, accepted = sum(a["right"] for a in own), [a for a in own if a["accepted"]]
+        low, high = wilson(right, len(own))
+        note = f"{right}/{len(own)}, 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        report.add("right calyx", preset, "%", [100 * right / len(own)], note, len(own))
+        report.add("position error", preset, "mm", [a["position_mm"] for a in own if "position_mm" in a])
+        report.add("direction error", preset, "°", [a["direction_deg"] for a in own if "direction_deg" in a])
+        good = sum(a["right"] for a in accepted)
+        note = f"{good}/{len(accepted)} of the accepted, of {len(own)}"
+        share = 100 * good / max(len(accepted), 1)
+        report.add("accepted", f"{preset}, accepted", "%", [100 * len(accepted) / len(own)], note, len(own))
+        report.add("accepted", f"{preset}, right of the accepted", "%", [share], note, len(accepted))
+    asked = [a for a in answers if a["preset"] != "none"]
+    confidence, right_ = np.array([a["confidence"] for a in asked]), np.array([a["right"] for a in asked])
+    report.add("confidence", "expected calibration error", "", [calibration_error(confidence, right_)], n=len(asked))
+    report.add("confidence", "AUROC against right", "", [auroc(confidence, right_)], n=len(asked))
+    none = [a for a in answers if a["preset"] == "none"]
+    refused = sum(not a["accepted"] for a in none)
+    report.add("pictures of nothing", "refused", "%", [100 * refused / len(none)], f"{refused}/{len(none)}", len(none))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
