@@ -1,0 +1,138 @@
+"""Refinement: its drawings agree with the package's own, it finds known poses, and stays in the lumen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import DefaultSettings, Features, ThesisSettings
+from ursnav_torch.features.flatten import flatten, masked_blur
+from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.localization.align_fields import AlignGrid
+from ursnav_torch.localization.align_light import AT_CAMERA, STEP, gray_values
+from ursnav_torch.localization.refine import RefinementSettings, Refiner
+from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.vid import Vid
+
+
+@pytest.fixture(scope="module")
+def grid(lens: Camera) -> AlignGrid:
+    return AlignGrid(lens, 62, DefaultSettings())
+
+
+@pytest.fixture(scope="module")
+def refiner(vid: Vid, phantom_lumen: LumenDistance) -> Refiner:
+    return Refiner(vid, lumen=phantom_lumen)
+
+
+def features(vid: Vid, phantom: Kidney, T: np.ndarray, light: HeadLight | None = None) -> Features:
+    """What a picture from a pose looks like."""
+    return vid.extractor().extract(RaycastRenderer(phantom.mesh, vid.camera, light).render(T).image)
+
+
+def pushed(T: np.ndarray, rng: np.random.Generator, far_mm: float, turned_deg: float) -> np.ndarray:
+    """A pose so far from another and turned so much, in random directions."""
+    shift, axis = rng.standard_normal((2, 3))
+    turn = Rotation.from_rotvec(np.radians(turned_deg) * axis / np.linalg.norm(axis)).as_matrix()
+    return T @ transform_from(turn, far_mm * shift / np.linalg.norm(shift))
+
+
+def test_a_drawings_relief_is_the_extractors(grid: AlignGrid, phantom: Kidney, vid: Vid) -> None:
+    gray = RaycastRenderer(phantom.mesh, grid.camera).render(vid.T_kidney_camera[3]).image.astype(np.float32)
+    mask, settings = torch.from_numpy(grid.mask), DefaultSettings()
+    log_image = masked_blur(torch.log(torch.from_numpy(gray) + 8), mask, max(settings.relief_blur * 62, 0.5))
+    expected = flatten(log_image, mask, settings.relief_reach * 62).numpy()
+    np.testing.assert_allclose(grid.relief(gray[..., None])[..., 0], expected, atol=2e-3)
+
+
+def test_a_drawings_gray_values_are_the_headlights() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(0, 2, (500, 3)).astype(np.float32) + np.float32([0, 0, 8])
+    normals = rng.normal(0, 0.4, (500, 3)) - [0, 0, 1]
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    lights = AT_CAMERA + np.array([1.0, -0.5, 0.2, 1.0, 0.1]) + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
+    gray = gray_values(points, normals, lights)
+    for column, (x, y, z, reach, ambient) in zip(gray.T, lights, strict=True):
+        alone = 255 * HeadLight((x, y, z), reach_mm=reach, ambient=ambient).shade(points, normals)
+        dark = (alone < 200) & (column < 200)  # elsewhere exposure may clip
+        share = column[dark] / alone[dark]  # all lights share the first one's exposure
+        np.testing.assert_allclose(share, np.median(share), rtol=2e-3)
+    first = 255 * HeadLight(tuple(lights[0, :3]), reach_mm=lights[0, 3], ambient=lights[0, 4]).shade(points, normals)
+    np.testing.assert_allclose(gray[:, 0], first, rtol=1e-3)
+
+
+def test_motion_says_where_a_moved_wall_point_is_seen(grid: AlignGrid) -> None:
+    points = 6.0 * grid.rays
+    for i, move in enumerate(1e-3 * np.eye(6)):
+        turn = Rotation.from_rotvec(move[3:]).as_matrix()
+        there, _ = grid.camera.project(points @ turn.T + move[:3])
+        here, _ = grid.camera.project(points)
+        expected = 1e-3 * grid.motion[i].T / (6.0 if i < 3 else 1.0)
+        np.testing.assert_allclose(there - here, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("view", [3, 20, 44])
+def test_a_pose_off_by_a_millimeter_and_five_degrees_is_found(
+    view: int, vid: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T = vid.T_kidney_camera[view]
+    start = pushed(T, np.random.default_rng(view), 1.0, 5.0)
+    found = refiner.refine(features(vid, phantom, T), [start])
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.1
+    assert np.degrees(rotation_angle(found.T_kidney_camera, T)) < 0.7
+    assert found.score > 0.9
+
+
+def test_a_light_beside_the_lens_is_found_with_the_pose(vid: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = vid.T_kidney_camera[3]
+    seen = features(vid, phantom, T, HeadLight(offset_mm=(1.2, -0.6, 0.0)))
+    found = refiner.refine(seen, [pushed(T, np.random.default_rng(1), 0.7, 4.0)])
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.15
+    np.testing.assert_allclose(found.light[:2], [1.2, -0.6], atol=0.4)
+
+
+def test_the_hypothesis_that_fits_wins(vid: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = vid.T_kidney_camera[3]
+    near = pushed(T, np.random.default_rng(2), 0.5, 3.0)
+    found = refiner.refine(features(vid, phantom, T), [vid.T_kidney_camera[30], vid.T_kidney_camera[60], near])
+    assert found.hypothesis == 2
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.1
+
+
+def test_the_pose_never_leaves_the_lumen(vid: Vid, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
+    settings = RefinementSettings(hypotheses=1, rounds=2, clearance_mm=0.8)
+    refiner, rng = Refiner(vid, settings, phantom_lumen), np.random.default_rng(5)
+    seen = features(vid, phantom, vid.T_kidney_camera[3])
+    for T in vid.T_kidney_camera[::9]:
+        start = pushed(T, rng, 0.2, 20.0)
+        least = min(0.8, phantom_lumen.clearance_mm(start[:3, 3])[0])
+        found = refiner.refine(seen, [start]).T_kidney_camera
+        assert phantom_lumen.clearance_mm(found[:3, 3])[0] >= least - 1e-6
+        np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_start_outside_the_kidney_is_no_crash(vid: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = vid.T_kidney_camera[3]
+    outside = transform_from(np.eye(3), phantom.mesh.bounds[1] + 50)
+    found = refiner.refine(features(vid, phantom, T), [outside, T])
+    assert found.hypothesis == 1
+    alone = refiner.refine(features(vid, phantom, T), [outside])
+    assert alone.score == -1.0
+    np.testing.assert_array_equal(alone.T_kidney_camera, outside)
+
+
+def test_what_cannot_be_refined_is_refused(vid: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    seen = features(vid, phantom, vid.T_kidney_camera[3])
+    with pytest.raises(InputError, match="at least one candidate"):
+        refiner.refine(seen, [])
+    with pytest.raises(InputError, match="not orthonormal"):
+        refiner.refine(seen, [2 * np.eye(4)])
+    with pytest.raises(InputError, match="rounds"):
+        RefinementSettings(rounds=0)
+    with pytest.raises(InputError, match="features=default"):
+        Refiner(replace(vid, settings=ThesisSettings()))

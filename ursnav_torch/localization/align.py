@@ -1,0 +1,177 @@
+"""Direct alignment: a drawing at a guessed pose, moved with its own depth until it lies on the picture.
+
+Lucas and Kanade's method (Baker and Matthews, IJCV 56:221, 2004) on fields that brightness does not change, with the
+mean of the drawing's and the picture's slopes (Benhimane and Malis, IROS 2004: second order without second
+derivatives), Tukey's weights, and the light found along with the pose.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.geometry import inverse, transform_from
+from ursnav_torch.localization.align_fields import AlignGrid, Fields, Floats
+from ursnav_torch.localization.align_light import AT_CAMERA, MOST, SPREAD, STEP, gray_values, within_limits
+from ursnav_torch.rendering import RayScene
+
+Array = NDArray[np.float64]
+
+#: Fewer compared pixels than this say nothing.
+LEAST_PIXELS = 150
+_TUKEY = 3.0  # residuals beyond this many root mean squares do not count
+_DAMPING = 1e-3
+_LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
+_LARGEST_TURN = np.radians(8.0)
+_LEAST_GAIN = 0.2
+_CONVERGED = np.array([0.01, 0.01, 0.01, 1e-3, 1e-3, 1e-3])  # mm and radians
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """Where an alignment ended.
+
+    Attributes:
+        T_kidney_camera: (4, 4).
+        light: (5,), see `align_light.AT_CAMERA`.
+        score: mean correlation of the fields, 1 is perfect; -1 where the drawing shows too little.
+        iterations: steps taken.
+    """
+
+    T_kidney_camera: Array
+    light: Array
+    score: float
+    iterations: int
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """The kidney drawn from one pose, at the N pixels compared.
+
+    Attributes:
+        points: (N, 3) wall points, camera frame.
+        value: (3, N) fields.
+        slope: (2, 3, N) their change per px.
+        lit: (5, 3, N) their change with the light.
+        motion: (6, 2, N) px by which a point's image moves with the point, see `AlignGrid.motion`.
+        seen: (N,) 1.0 where there is a wall.
+    """
+
+    points: Array
+    value: Floats
+    slope: Floats
+    lit: Floats
+    motion: Floats
+    seen: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """From the drawing's camera to the picture's (4, 4), and the light's change (5,) since the drawing."""
+
+    T_picture_drawing: Array
+    light: Array
+
+    def moved(self, step: Array) -> "_State":
+        turn = transform_from(Rotation.from_rotvec(step[3:6]).as_matrix(), step[:3])
+        return _State(turn @ self.T_picture_drawing, np.clip(self.light + step[6:], -MOST, MOST))
+
+
+class Aligner:
+    """Aligns drawings of one kidney with pictures through one lens.
+
+    Args:
+        mesh: the lumen, kidney frame, mm.
+        grid: the small picture.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh, grid: AlignGrid, unit_mm: float = 1.0) -> None:
+        self._grid, self._scene = grid, RayScene(mesh)
+        self._longest_step = 1.5 * unit_mm
+        rays, self._inside = grid.camera.pixel_rays()
+        self._rays = rays[self._inside].astype(np.float32)
+
+    def align(self, picture: Fields, T_kidney_camera: Array, light: Array = AT_CAMERA, iterations: int = 5) -> Aligned:
+        """The pose near ``T_kidney_camera`` (4, 4) from which the drawing lies best on a picture."""
+        drawing = self.draw(T_kidney_camera, light)
+        state = best = _State(np.eye(4), np.zeros(len(light)))
+        best_score, taken = -1.0, 0
+        while True:
+            score, step = self._step(picture, drawing, state, light)
+            if score > best_score:
+                best, best_score = state, score
+            if step is None or taken == iterations or np.all(np.abs(step[:6]) < _CONVERGED):
+                break
+            state, taken = state.moved(step), taken + 1
+        T = T_kidney_camera @ inverse(best.T_picture_drawing)
+        return Aligned(T, within_limits(light + best.light), best_score, taken)
+
+    def draw(self, T_kidney_camera: Array, light: Array) -> Drawing:
+        """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
+        grid, R = self._grid, T_kidney_camera[:3, :3].astype(np.float32)
+        depth, normals = self._scene.cast(T_kidney_camera[:3, 3], self._rays @ R.T)
+        hit = np.isfinite(depth)
+        distance = np.full(self._inside.shape, np.inf, np.float32)
+        distance[self._inside] = depth
+        lights = np.concatenate([light[None], light + np.diag(STEP)])
+        gray = np.zeros((*self._inside.shape, len(lights)), np.float32)
+        gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
+        value, slope = grid.of_drawings(gray)
+        distance = distance[grid.compared]
+        seen = np.isfinite(distance)
+        distance[~seen] = 1.0
+        motion = grid.motion.copy()
+        motion[:3] /= distance
+        lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[:, None, None]
+        return Drawing(grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
+
+    def _step(self, picture: Fields, drawing: Drawing, state: _State, light: Array) -> tuple[float, Array | None]:
+        """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
+        T = state.T_picture_drawing
+        pixels, _ = self._grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
+        value, slope, compared = self._grid.sample(picture, pixels)
+        good = drawing.seen * compared
+        count = float(good.sum())
+        if count < LEAST_PIXELS:
+            return -1.0, None
+        seen, seen_size = _standard(value, good)
+        drawn, drawn_size = _standard(
+            drawing.value + np.tensordot(state.light.astype(np.float32), drawing.lit, 1), good
+        )
+        correlation = (seen * drawn) @ good / count
+        gain = np.maximum(correlation, _LEAST_GAIN)[:, None]
+        residual = seen - gain * drawn
+        weight = _tukey(residual, good, count)
+        x, y = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
+        motion = drawing.motion[:, :, None]
+        jacobian = np.concatenate([x * motion[:, 0] + y * motion[:, 1], drawing.lit * (-gain / drawn_size)])
+        jacobian = jacobian.reshape(len(jacobian), -1)
+        weighted = jacobian * weight.reshape(-1)
+        normal, slant = (weighted @ jacobian.T).astype(float), (weighted @ residual.reshape(-1)).astype(float)
+        prior = np.concatenate([np.zeros(6), _LIGHT_PRIOR * count / SPREAD**2])
+        normal += np.diag(_DAMPING * np.diag(normal) + prior + 1e-9)
+        slant[6:] += prior[6:] * (light + state.light - AT_CAMERA)
+        return float(correlation.mean()), self._limited(-np.linalg.solve(normal, slant))
+
+    def _limited(self, step: Array) -> Array:
+        """A step shortened to what one linearization can be trusted with."""
+        far, turned = np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])
+        return step * min(1.0, self._longest_step / max(far, 1e-12), _LARGEST_TURN / max(turned, 1e-12))
+
+
+def _standard(field: Floats, good: Floats) -> tuple[Floats, Floats]:
+    """Fields (3, N) with mean 0 and size 1 over the pixels that count (N,), and their size (3, 1) before."""
+    count = good.sum()
+    centered = field - (field @ good / count)[:, None]
+    size = np.sqrt(np.square(centered) @ good / count)[:, None] + np.float32(1e-6)
+    return centered / size, size
+
+
+def _tukey(residual: Floats, good: Floats, count: float) -> Floats:
+    """Tukey's biweights (3, N) of residuals (3, N), zero where ``good`` (N,) is."""
+    square = np.square(residual)
+    size = _TUKEY**2 * (square @ good / np.float32(count))[:, None] + np.float32(1e-6)
+    return np.square(1 - np.minimum(square / size, 1)) * good

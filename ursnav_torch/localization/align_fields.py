@@ -1,0 +1,133 @@
+"""What pictures are aligned on: the relief and its softly normalized gradient, small, and how a pose moves them."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.features import DefaultSettings
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+#: Smoothing before the gradient, as a part of the picture's shorter side.
+GRADIENT_BLUR = 0.012
+#: A gradient of this share of the picture's median counts half.
+GRADIENT_SOFTNESS = 0.9
+_RIM = 4.0  # gradient blurs between the picture's edge and what is compared
+_FLOOR, _MOST = 0.02, 3.0  # as `features.flatten` has them
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """Fields of one picture: relief, then the gradient's x and y.
+
+    Attributes:
+        value: (H, W, 3).
+        slope_x, slope_y: (H, W, 3) change per px.
+    """
+
+    value: Floats
+    slope_x: Floats
+    slope_y: Floats
+
+
+class AlignGrid:
+    """A small picture of a lens: which of its pixels count, where they look, and how they move with the camera.
+
+    Args:
+        camera: the VID's lens.
+        size_px: shorter side of the small picture.
+        settings: of the extractor; reliefs of drawings are computed as it computes those of pictures.
+
+    Attributes:
+        camera: the lens at this size.
+        mask: (H, W) 1.0 inside the picture.
+        compared: (H, W) bool, the N pixels compared.
+        rays: (N, 3) their unit rays.
+        motion: (6, 2, N) px in x and y by which the image of a wall point at distance 1 on each ray moves when the
+            point moves along x, y, z, and when it turns about x, y, z around the camera.
+    """
+
+    def __init__(self, camera: Camera, size_px: int, settings: DefaultSettings) -> None:
+        shrink = min(1.0, size_px / min(camera.width, camera.height))
+        self.camera = camera.resized(round(camera.width * shrink), round(camera.height * shrink))
+        self._unit, self._settings = float(min(self.camera.width, self.camera.height)), settings
+        rays, inside = self.camera.pixel_rays()
+        self.mask = (_blur(inside.astype(np.float32), 1.0) > 0.99).astype(np.float32)
+        self.compared = _blur(self.mask, max(1.0, _RIM / 2 * GRADIENT_BLUR * self._unit)) > 0.97
+        self.rays = rays[self.compared]
+        self.motion = _motion(self.camera, self.rays).astype(np.float32)
+        self._shares: dict[float, Floats] = {}
+
+    def of_picture(self, relief: Tensor) -> Fields:
+        """Fields of a picture from its relief (h, w) at the extractor's working size."""
+        size = (self.camera.height, self.camera.width)
+        small = torch.nn.functional.interpolate(relief[None, None], size, mode="bilinear", antialias=True)[0, 0]
+        value = self._fields((small.numpy() * self.mask)[..., None])[..., 0]
+        return Fields(value, *_slopes(value))
+
+    def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
+        """Fields (M, 3, N) of drawings (H, W, M) in gray values 0 to 255, and the first one's slopes (2, 3, N)."""
+        value = self._fields(self.relief(gray))
+        slope = np.stack(_slopes(np.ascontiguousarray(value[..., 0])))
+        inside = value[self.compared]  # (N, 3, M)
+        return np.ascontiguousarray(inside.transpose(2, 1, 0)), slope[:, self.compared].transpose(0, 2, 1)
+
+    def relief(self, gray: Floats) -> Floats:
+        """Relief (H, W, M) of drawings (H, W, M) in gray values: `features.flatten.flatten` on small pictures."""
+        mask = self.mask[..., None]
+        log_image = self._masked_blur(np.log(gray + 8), max(self._settings.relief_blur * self._unit, 0.5))
+        reach = self._settings.relief_reach * self._unit
+        detail = (log_image - self._masked_blur(log_image, reach)) * mask
+        contrast = np.sqrt(self._masked_blur(detail * detail, reach) + np.float32(_FLOOR**2))
+        return np.clip(detail / contrast, -_MOST, _MOST) * mask
+
+    def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px, and which of them are compared (N,)."""
+        x, y = np.ascontiguousarray(pixels.T.astype(np.float32))
+        parts = [
+            cv2.remap(p, x[None], y[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0].T
+            for p in (fields.value, fields.slope_x, fields.slope_y)
+        ]
+        column = np.rint(x).astype(int).clip(0, self.camera.width - 1)
+        row = np.rint(y).astype(int).clip(0, self.camera.height - 1)
+        return parts[0], np.stack(parts[1:]), self.compared[row, column]
+
+    def _fields(self, relief: Floats) -> Floats:
+        """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first sets the softness."""
+        x, y = _slopes(self._masked_blur(relief, GRADIENT_BLUR * self._unit))
+        strength = (x * x + y * y) * self.mask[..., None]
+        half = GRADIENT_SOFTNESS * np.sqrt(np.median(strength[self.compared, 0])) + np.float32(1e-6)
+        share = self.mask[..., None] / np.sqrt(strength + half * half)
+        return np.stack([relief, x * share, y * share], axis=2)
+
+    def _masked_blur(self, x: Floats, sigma_px: float) -> Floats:
+        """Gaussian mean of (H, W, M) over the pixels inside, as `features.flatten.masked_blur`."""
+        if sigma_px not in self._shares:
+            self._shares[sigma_px] = 1 / np.maximum(_blur(self.mask, sigma_px), np.float32(1e-3))[..., None]
+        return _blur(x * self.mask[..., None], sigma_px) * self._shares[sigma_px]
+
+
+def _blur(x: Floats, sigma_px: float) -> Floats:
+    """Gaussian blur of (H, W) or (H, W, M) with zeros beyond the border, as `features.flatten.blur`."""
+    size = 2 * max(1, round(3 * sigma_px)) + 1
+    return cv2.GaussianBlur(x, (size, size), sigma_px, borderType=cv2.BORDER_CONSTANT).reshape(x.shape)
+
+
+def _slopes(x: Floats) -> tuple[Floats, Floats]:
+    """Sobel slopes per px in x and y of (H, W, M)."""
+    dx = cv2.Sobel(x, -1, 1, 0, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
+    dy = cv2.Sobel(x, -1, 0, 1, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
+    return dx.reshape(x.shape), dy.reshape(x.shape)
+
+
+def _motion(camera: Camera, rays: Array, step: float = 1e-4) -> Array:
+    """(6, 2, N), see `AlignGrid.motion`; central differences of the lens's own projection."""
+    moves = np.concatenate([np.broadcast_to(np.eye(3), (len(rays), 3, 3)), np.cross(np.eye(3), rays[:, None])], axis=1)
+    ahead, back = (camera.project(rays[:, None] + sign * step * moves)[0] for sign in (1, -1))
+    return (ahead - back).transpose(1, 2, 0) / (2 * step)

@@ -1,0 +1,47 @@
+"""The scope's light as far as alignment must know it: where the LED sits shifts every shaded flank.
+
+Drawn with its light in the lens, a wall lit from beside the lens fits best from a wrong pose: of two parts in which
+the position was off in simulated pictures, this was one. So the light is found along with the pose, with a prior.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.rendering import HeadLight
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+#: Offset x, y, z in mm in the camera frame, reach in mm, ambient share: as the VID's views are lit.
+AT_CAMERA: Array = np.array([0.0, 0.0, 0.0, 4.0, 0.02])
+#: How far scopes are from that (standard deviations).
+SPREAD: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.06])
+#: Steps by which drawings are compared to see what each number does to a picture.
+STEP: Array = np.array([0.3, 0.3, 0.3, 0.5, 0.03])
+#: Largest change while one drawing is aligned.
+MOST: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.1])
+_LOW: Array = np.array([-4.0, -4.0, -4.0, 1.0, 0.0])
+_HIGH: Array = np.array([4.0, 4.0, 4.0, 10.0, 0.4])
+_DEFAULT = HeadLight()
+
+
+def within_limits(light: Array) -> Array:
+    """The nearest light (5,) that a scope can have."""
+    return np.clip(light, _LOW, _HIGH)
+
+
+def gray_values(points_mm: Floats, normals: Floats, lights: Array) -> Floats:
+    """Gray values (N, M), 0 to 255, of wall points (N, 3) with normals (N, 3), camera frame, under M lights (M, 5).
+
+    `HeadLight.shade` for all lights at once; the first light sets the exposure of all.
+    """
+    if not len(points_mm):
+        return np.zeros((0, len(lights)), np.float32)
+    offset, reach, ambient = lights[:, :3].astype(np.float32), lights[:, 3], lights[:, 4].astype(np.float32)
+    square = np.square(points_mm).sum(1)[:, None] - 2 * points_mm @ offset.T + np.square(offset).sum(1)
+    facing = normals @ offset.T - np.sum(points_mm * normals, axis=1)[:, None]
+    cosine = facing / np.sqrt(np.maximum(square, 1e-6))
+    radiance = (np.clip(cosine, 0, 1) + ambient) / (square + np.square(reach).astype(np.float32))
+    reference = max(float(np.percentile(radiance[:, 0], _DEFAULT.exposure_percentile)), 1e-12)
+    gray = np.float32(_DEFAULT.exposure_level) * (radiance / np.float32(reference)) ** np.float32(1 / _DEFAULT.gamma)
+    return 255 * np.clip(gray, 0, 1)
