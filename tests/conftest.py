@@ -18,7 +18,6 @@ from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
 
-
 torch.set_num_threads(1)  # pictures are small: more threads only wait for each other
 
 

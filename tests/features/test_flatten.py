@@ -1,0 +1,47 @@
+import numpy as np
+import torch
+
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.features.flatten import flatten, masked_blur, remove_stripes
+
+LENS = equidistant_camera(160, 125, 125)
+MASK = torch.from_numpy(LENS.pixel_rays()[1]).float()
+
+
+def wall() -> torch.Tensor:
+    """Smooth structure, log units."""
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(125, 125, generator=generator)
+    return masked_blur(noise, torch.ones(125, 125), 4.0) * 4 + 4
+
+
+def test_blurring_does_not_drag_the_outside_in() -> None:
+    flat = torch.full((125, 125), 3.0) * MASK + 1e6 * (1 - MASK)
+    inside = masked_blur(flat, MASK, 3.0)[MASK > 0]
+    torch.testing.assert_close(inside, torch.full_like(inside, 3.0), rtol=1e-4, atol=1e-4)
+
+
+def test_relief_does_not_know_the_exposure_or_the_vignette() -> None:
+    """A factor on the light is a constant in the logarithm; a vignette is nearly one within the surroundings."""
+    v, u = torch.meshgrid(torch.arange(125.0), torch.arange(125.0), indexing="ij")
+    vignette = -1.5 * ((u - 62) ** 2 + (v - 62) ** 2) / 62**2
+    relief = flatten(wall(), MASK, 6.0)
+    torch.testing.assert_close(flatten(wall() + 0.7, MASK, 6.0), relief, rtol=1e-3, atol=1e-3)
+    core = masked_blur(MASK, torch.ones_like(MASK), 3.0) > 0.999
+    both = torch.stack([relief[core], flatten(wall() + vignette, MASK, 6.0)[core]])
+    assert torch.corrcoef(both)[0, 1] > 0.98
+    assert (relief[MASK == 0] == 0).all() and relief.abs().max() <= 3
+
+
+def test_one_stripe_pattern_is_taken_out_and_nothing_else() -> None:
+    stripes = 0.25 * torch.sin(1.3 * torch.arange(125.0))[:, None]
+    clean = wall()
+    left = (remove_stripes(clean + stripes, MASK) - clean) * MASK
+    assert left.abs().max() < 0.25 * stripes.abs().max()
+    torch.testing.assert_close(remove_stripes(clean, MASK), clean)
+
+
+def test_stripes_at_any_frequency_leave_finite_values() -> None:
+    for frequency in np.linspace(0.09, 0.5, 7):
+        striped = wall() + 0.3 * torch.cos(2 * torch.pi * float(frequency) * torch.arange(125.0))[:, None]
+        assert torch.isfinite(remove_stripes(striped, MASK)).all()

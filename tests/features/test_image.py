@@ -1,0 +1,67 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import check_image, read_image
+from ursnav_torch.features.image import signal
+
+RNG = np.random.default_rng(0)
+GRAY = RNG.integers(0, 256, (40, 60), np.uint8)
+COLOR = RNG.integers(0, 256, (40, 60, 3), np.uint8)
+
+
+@pytest.mark.parametrize("name", ["x.png", "X.PNG", "x.bmp", "x.tif", "ö [1], a=b.png"])
+@pytest.mark.parametrize("image", [GRAY, COLOR], ids=["gray", "color"])
+def test_pictures_come_as_they_were_written(tmp_path: Path, name: str, image: np.ndarray) -> None:
+    path = tmp_path / name
+    path.write_bytes(cv2.imencode(path.suffix.lower(), image)[1].tobytes())
+    np.testing.assert_array_equal(read_image(path), image)
+
+
+def test_transparency_is_dropped_and_depth_scaled(tmp_path: Path) -> None:
+    path = tmp_path / "x.png"
+    cv2.imwrite(str(path), np.dstack([COLOR, GRAY]))
+    np.testing.assert_array_equal(read_image(path), COLOR)
+    for top in (1023, 65535):
+        cv2.imwrite(str(path), (GRAY / 255 * top).round().astype(np.uint16))
+        got = read_image(path).astype(int)
+        assert np.abs(got - np.round(GRAY * (255 / GRAY.max()))).max() <= 1, "the picture's own maximum becomes 255"
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_picture_cut_short_is_never_filled_in(tmp_path: Path, suffix: str) -> None:
+    """OpenCV gives a JPEG that lacks its end as if it were whole, the rest gray."""
+    path = tmp_path / f"x.{suffix}"
+    cv2.imwrite(str(path), COLOR)
+    whole = path.read_bytes()
+    for size in (len(whole) - 13, len(whole) // 2, 9):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=rf"x\.{suffix} is cut short \({size} bytes"):
+            read_image(path)
+    path.write_bytes(whole + b"trailing")
+    np.testing.assert_array_equal(read_image(path).shape, COLOR.shape)
+
+
+@pytest.mark.parametrize(
+    "image", [GRAY.astype(np.float32), GRAY[None, None], "x.png", np.zeros((40, 60, 2, 1), np.uint8)]
+)
+def test_refuses_arrays_that_are_no_pictures(image: object) -> None:
+    with pytest.raises(InputError, match="must be a uint8 array"):
+        check_image(image, equidistant_camera(160, 60, 40))  # type: ignore[arg-type]
+
+
+def test_refuses_another_size_and_says_both() -> None:
+    with pytest.raises(InputError, match="60 x 40 px, but the lens is 40 x 60 px"):
+        check_image(GRAY, equidistant_camera(160, 40, 60))
+
+
+def test_gray_in_color_is_gray_and_red_prevails_in_red() -> None:
+    same = signal(np.dstack([GRAY] * 3))
+    torch.testing.assert_close(same, torch.from_numpy(GRAY).float(), rtol=1e-4, atol=1e-3)
+    red = np.dstack([GRAY // 16, GRAY // 8, GRAY])
+    assert np.corrcoef(signal(red).numpy().ravel(), GRAY.ravel())[0, 1] > 0.999
