@@ -13,8 +13,8 @@ from ursnav_torch.errors import InputError
 
 Floats = NDArray[np.float64]
 
-#: Smoothing of the outline, as a share of its length: takes the stairs of pixels out.
-_SMOOTHING = 0.003
+#: Smoothing of the outline, as a share of its length and at least in px: takes the stairs of pixels out.
+_SMOOTHING, _SMOOTHING_PX = 0.003, 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,9 @@ def outline(image: NDArray[np.uint8], count: int) -> Outline:
     if _signed_area(longest) < 0:
         longest = longest[::-1]
     dense = _resample(longest, max(512, 4 * count))
-    smooth = gaussian_filter1d(dense, _SMOOTHING * len(dense), axis=0, mode="wrap")
+    length = np.linalg.norm(np.diff(dense, axis=0, append=dense[:1]), axis=1).sum()
+    share = max(_SMOOTHING, _SMOOTHING_PX / length)
+    smooth = gaussian_filter1d(dense, share * len(dense), axis=0, mode="wrap")
     points = _resample(smooth, 8 * count)
     step = np.roll(points, -4, 0) - np.roll(points, 4, 0)
     return Outline(points[::8], np.arctan2(step[::8, 1], step[::8, 0]))

@@ -18,8 +18,13 @@ SYMBOLS = "☂☎✂✈✌♞♜♛♝♟☮☯⚓⚔⚖⚙⚛⚜★☘♣♠♥
 _SIDE = 256
 
 
-def silhouettes(classes: int = 70, instances: int = 20, seed: int = 0) -> list[tuple[str, Image]]:
-    """Binary images (256, 256), white on black, with names ``class-number`` as MPEG-7 CE-Shape-1 has them."""
+def silhouettes(
+    classes: int = 70, instances: int = 20, seed: int = 0, upright: bool = False
+) -> list[tuple[str, Image]]:
+    """Binary images (256, 256), white on black, with names ``class-number`` as MPEG-7 CE-Shape-1 has them.
+
+    They are mirrored and turned at random, or `upright`: neither.
+    """
     out = []
     for c in range(classes):
         rng = np.random.default_rng([seed, c])
@@ -28,7 +33,7 @@ def silhouettes(classes: int = 70, instances: int = 20, seed: int = 0) -> list[t
         for k in range(instances):
             rng = np.random.default_rng([seed, c, k])
             base = creature.draw(rng) if creature else _symbol(symbol)
-            out.append((f"shape{c}-{k + 1}", _deform(base, rng)))
+            out.append((f"shape{c}-{k + 1}", _deform(base, rng, upright)))
     return out
 
 
@@ -79,14 +84,14 @@ def _symbol(symbol: str) -> Image:
     return cv2.morphologyEx(image, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
 
 
-def _deform(image: Image, rng: np.random.Generator) -> Image:
+def _deform(image: Image, rng: np.random.Generator, upright: bool) -> Image:
     """Bend, shear, roughen, bite or bulge, mirror, turn and scale a silhouette."""
     grid = np.stack(np.meshgrid(np.arange(_SIDE), np.arange(_SIDE)), -1).astype(float)
     centered = (grid - _SIDE / 2) / rng.uniform(0.6, 0.95)
-    angle = rng.uniform(0, math.tau)
+    angle, side = (0.0, 1.0) if upright else (rng.uniform(0, math.tau), rng.choice([-1.0, 1.0]))
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     shear = np.eye(2) + rng.normal(0, 0.1, (2, 2))
-    mirror = np.diag([rng.choice([-1.0, 1.0]), 1.0])
+    mirror = np.diag([side, 1.0])
     source = centered @ (mirror @ turn @ shear)
     source[..., 1] += rng.normal(0, 0.001) * source[..., 0] ** 2
     for cells, amount in ((5, 7.0), (12, 2.0), (32, 0.9)):

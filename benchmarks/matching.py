@@ -93,7 +93,7 @@ def speed(report: Report, rivals: dict[str, _rivals.Rival], points: int, views: 
         note = f"timed on {len(few)} views and scaled" if scale.get(name, 1) > 1 else ""
         report.add(group, name, "ms", [t * scale.get(name, 1) for t in samples], note)
     for iterations in (3, 1):
-        rival_times = times.get(f"{_OPENCV}{iterations}")
+        rival_times = times.get(f"{_OPENCV}{iterations}", [])
         for name in OURS if rival_times else ():
             ratios = [r * views / len(few) / own for own, r in zip(times[name], rival_times, strict=True)]
             report.add(f"Times faster than OpenCV's {iterations} iterations, {points} points", name, "x", ratios)
@@ -108,7 +108,7 @@ def prepared(database: Sequence[Floats], settings: Matching) -> Matcher:
 def _pot(query: Floats, database: Sequence[Floats], report: Report) -> Callable[[], Any] | None:
     """POT's Sinkhorn on our costs, one view after the other."""
     try:
-        import ot
+        import ot  # type: ignore[import-untyped]
     except ImportError:
         report.skip("POT Sinkhorn", "needs POT")
         return None
@@ -153,11 +153,11 @@ def _class_set(queries: int, views: int) -> AccuracySet:
     """Silhouettes in classes, ten of each in the database, others of the class as queries."""
     classes = max(2, -(-views // 10))
     spare = -(-queries // classes)
-    shapes = [outline(image, 100).points for _, image in _shapes.silhouettes(classes, 10 + spare)]
+    shapes = [outline(image, 100).points for _, image in _shapes.silhouettes(classes, 10 + spare, upright=True)]
     label, number = np.divmod(np.arange(len(shapes)), 10 + spare)
     asked = np.flatnonzero(number >= 10)[:queries]
     kept = np.flatnonzero(number < 10)
-    name = "same class of silhouettes"
+    name = "same class of upright silhouettes"
     return AccuracySet(name, [shapes[i] for i in asked], label[asked], [shapes[i] for i in kept], label[kept])
 
 
@@ -187,12 +187,20 @@ def sampling(report: Report, views: int = 200, queries: int = 60) -> None:
             database = [v[sample(v, count, method)] for v in np.round(dense)]
             matcher, rng, hits = prepared(database, matching), np.random.default_rng(5), 0
             for i in range(queries):
-                seen = np.round(_shapes.observe(dense[i], rng, 0.7, 240))
+                seen = np.round(np.vstack([_shapes.observe(dense[i], rng, 0.7), _strokes(rng, 240)]))
                 query = seen[sample(seen, count, method)]
                 hits += int(matcher.distances(torch.from_numpy(query).float()).argmin()) == i
             note = f"{np.median(times):.1f} ms to sample one picture of 800 points"
-            group = f"Sampling: first neighbor of {views} views, 70 % of the edge kept, 30 % clutter"
+            group = f"Sampling: first neighbor of {views} views, 70 % of the edge, 30 % clutter strokes"
             report.add(group, f"{count} points, {method}", "%", [100 * hits / queries], note, n=queries)
+
+
+def _strokes(rng: np.random.Generator, count: int, length: int = 20) -> Floats:
+    """Clutter (count, 2) px as what is left after small parts are taken out: short straight strokes."""
+    angle = rng.uniform(0, np.pi, (count // length, 1))
+    along = np.arange(length) - length / 2
+    places = rng.uniform(20, 230, (count // length, 1, 2))
+    return (places + np.stack([along * np.cos(angle), along * np.sin(angle)], -1)).reshape(-1, 2)
 
 
 def growth(report: Report, rounds: int) -> None:
