@@ -81,6 +81,19 @@ def test_two_threads_agree_with_one() -> None:
     torch.testing.assert_close(one, two, atol=1e-6, rtol=0)
 
 
+def test_inference_mode_may_come_and_go() -> None:
+    found, query = matcher([blob(seed, 100) for seed in range(300)]), asked(blob(5, 100))
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            with torch.inference_mode():
+                inside = found.distances(*query).clone()
+            torch.testing.assert_close(found.distances(*query), inside)
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_roll_search_finds_a_turned_view() -> None:
     views = [blob(seed) for seed in range(30)]
     rolls = Matching(cost=EVERY_TERM, roll_deg=(-20.0, 0.0, 20.0))

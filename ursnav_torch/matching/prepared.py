@@ -96,7 +96,8 @@ class PreparedViews:
         """A (rows, columns) piece of this thread's scratch memory, which is kept: fresh pages are slow."""
         kept: Tensor | None = getattr(self._local, "buffer", None)
         if kept is None or len(kept) < rows * columns:
-            kept = self._local.buffer = torch.empty(rows * columns)
+            with torch.inference_mode(False):  # it outlives the mode it is made in
+                kept = self._local.buffer = torch.empty(rows * columns)
         return kept[: rows * columns].view(rows, columns)
 
 

@@ -57,5 +57,11 @@ def map_chunks(work: Callable[[slice], None], count: int, chunk: int, cost: floa
             for part in parts:
                 work(part)
             return
+        inference = torch.is_inference_mode_enabled()
+
+        def run(part: slice) -> None:
+            with torch.inference_mode(inference):  # the caller's mode, which threads do not inherit
+                work(part)
+
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, parts))
+            list(pool.map(run, parts))
