@@ -83,5 +83,5 @@ def test_names_join_exactly_before_loosely() -> None:
 
 
 def test_an_empty_em_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="EM file .* has no rows"):
+    with pytest.raises(InputError, match=r"EM file .* has no rows"):
         read_em_samples(write(tmp_path / "em.csv", "frame,x_mm,y_mm,z_mm\n"))

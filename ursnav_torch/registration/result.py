@@ -17,7 +17,7 @@ from ursnav_torch.geometry import Array, check_rigid, transform_from
 class Registration:
     """EM frame -> kidney frame: ``p_kidney = scale * R @ p_em + t_mm``.
 
-    Lengths are mm of the kidney as it was given: those of a phantom printed 1.8 times larger are 1.8 times anatomy's.
+    Lengths are mm of the kidney as it was given: ``model_scale`` times anatomy's.
 
     Attributes:
         R: (3, 3) rotation.
@@ -35,6 +35,7 @@ class Registration:
         method: ``landmarks``, ``surface`` or ``centerline``.
         suspicions: sentences that say what may be wrong with the input.
         report: further figures about the fit, by name.
+        model_scale: 1.0 where the kidney has its natural size, 1.8 for the phantom of the thesis; for people to read.
     """
 
     R: Array
@@ -51,6 +52,7 @@ class Registration:
     method: str = "landmarks"
     suspicions: tuple[str, ...] = ()
     report: dict[str, float] | None = None
+    model_scale: float = 1.0
 
     @property
     def T_kidney_em(self) -> Array:  # noqa: N802
@@ -150,6 +152,7 @@ def _from_dict(data: dict[str, Any]) -> Registration:
         method=str(data.get("method", "landmarks")),
         suspicions=tuple(data.get("suspicions", ())),
         report=data.get("report"),
+        model_scale=float(data.get("model_scale", 1.0)),
     )
 
 

@@ -82,32 +82,13 @@ def solve(problem: Problem) -> Solution:
     return Solution(R, center - R @ mean, center, _jackknife(best, problem), float(cost[0]), gap, rival)
 
 
-def least_cost(problem: Problem) -> float:
-    """Cost of the best pose alone."""
-    return float(_answers(problem)[1][0])
-
-
-def refuse_unless_determined(
-    solution: Solution, mirrored_cost: float, tre_mm: float, most_mm: float, what: str
-) -> None:
-    """Refuse a pose that the samples do not determine.
-
-    Args:
-        solution: the pose.
-        mirrored_cost: cost of the best pose of the same samples, mirrored.
-        tre_mm: expected root mean square error over the kidney.
-        most_mm: the most that is accepted.
-        what: what the samples are: ``path`` or ``touched points``.
+def refuse_unless_determined(solution: Solution, tre_mm: float, most_mm: float, what: str) -> None:
+    """Refuse a pose that the samples (``what``, in words) do not determine.
 
     Raises:
-        RegistrationError: the mirrored samples fit better, another pose explains them nearly as well, or the expected
-            error is too large.
+        RegistrationError: another pose explains them nearly as well, or the error ``tre_mm`` (expected root mean square
+            over the kidney) is larger than ``most_mm``.
     """
-    if mirrored_cost < solution.cost - LEAST_GAP:
-        raise RegistrationError(
-            f"Mirrored, the {what} would fit this kidney better (by {solution.cost - mirrored_cost:.0f}). Is it the "
-            "kidney of the other side, or are the EM data left-handed (one axis to be flipped)?"
-        )
     if solution.gap < LEAST_GAP:
         raise RegistrationError(
             f"The {what} leave the registration open: another pose, {solution.rival_mm:.0f} mm away, explains them "
@@ -117,6 +98,20 @@ def refuse_unless_determined(
         raise RegistrationError(
             f"The {what} determine the registration only to {tre_mm:.1f} mm over the kidney; {most_mm:g} mm is the "
             f"most accepted (max_error_mm). {_MORE}"
+        )
+
+
+def refuse_if_mirrored_fits(solution: Solution, mirrored: Problem, what: str) -> None:
+    """Refuse a pose of samples (``what``, in words) that would fit better if they were mirrored.
+
+    Raises:
+        RegistrationError: they would.
+    """
+    better = solution.cost - float(_answers(mirrored)[1][0])
+    if better > LEAST_GAP:
+        raise RegistrationError(
+            f"Mirrored, the {what} would fit this kidney better (by {better:.0f}). Is it the kidney of the other side, "
+            "or are the EM data left-handed (one axis to be flipped)?"
         )
 
 

@@ -13,7 +13,14 @@ from ursnav_torch.geometry import Array, apply, transform_from
 from ursnav_torch.registration.field import DistanceField
 from ursnav_torch.registration.result import Registration, skew
 from ursnav_torch.registration.search import Misfit, Poses, as_tensor
-from ursnav_torch.registration.solve import PARTS, Problem, Solution, least_cost, refuse_unless_determined, solve
+from ursnav_torch.registration.solve import (
+    PARTS,
+    Problem,
+    Solution,
+    refuse_if_mirrored_fits,
+    refuse_unless_determined,
+    solve,
+)
 
 BoolArray = NDArray[np.bool_]
 
@@ -64,15 +71,15 @@ def register_surface(
     solution = solve(_problem(points, field, mesh))
     T, distance, used = _polish(solution, points, mesh, trim)
     registration = _registration(T, distance, used, solution)
-    mirrored = least_cost(_problem(points * [-1, 1, 1], field, mesh))
-    tre = float(np.sqrt(np.mean(registration.tre_mm(mesh.vertices) ** 2)))
-    refuse_unless_determined(solution, mirrored, tre, max_error_mm, "touched points")
     if registration.fre_rmse_mm > 3 * _TOUCH_MM:
         raise RegistrationError(
             f"The touched points do not fit this kidney: the nearest {trim:.0%} of them stay "
             f"{registration.fre_rmse_mm:.1f} mm RMS off its surface ({3 * _TOUCH_MM:g} mm are accepted). "
             "Check side, scale and units (mm)."
         )
+    tre = float(np.sqrt(np.mean(registration.tre_mm(mesh.vertices) ** 2)))
+    refuse_unless_determined(solution, tre, max_error_mm, "touched points")
+    refuse_if_mirrored_fits(solution, _problem(points * [-1, 1, 1], field, mesh), "touched points")
     return registration
 
 

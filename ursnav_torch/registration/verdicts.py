@@ -169,6 +169,26 @@ def verdict_report(verdicts: Verdicts, scale: float) -> dict[str, Any]:
     return report
 
 
+def verdict_summary(verdicts: Verdicts, scale: float) -> str:
+    """A few lines for people; mm at the kidney's ``scale``."""
+    judged = int(verdicts.judged.sum())
+    source = "reference pairs" if verdicts.from_pairs else "error budget"
+    lines = [
+        f"{judged} of {len(verdicts.images)} matches judged; right by position and direction {int(verdicts.right.sum())}, "
+        f"by position alone {int(verdicts.right_by_position.sum())}",
+        f"threshold of the position rule {verdicts.threshold_mm:.2f} mm at scale {scale:g}, from {source}",
+    ]
+    if verdicts.from_pairs:
+        e = verdicts.e_cam_mm
+        lines.append(f"e_cam {' '.join(f'{x:.2f}' for x in e)}: mean {e.mean():.2f}, deviation {e.std(ddof=1):.2f} mm")
+    if any(verdicts.truth):
+        lines += [
+            f"{name.replace('_', ' ')}: TP {c.TP} FN {c.FN} FP {c.FP} TN {c.TN}, balanced accuracy {c.balanced_accuracy:.1%}"
+            for name, c in verdicts.confusions().items()
+        ]
+    return "\n".join(lines)
+
+
 def _image_rows(verdicts: Verdicts) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     judged = np.cumsum(verdicts.judged) - 1
@@ -201,7 +221,7 @@ def _read(matches: Path, em: str | Path) -> tuple[list[dict[str, str]], list[str
     images = [row[column] for row in rows]
     t_s = numbers(rows, ("t_s",), matches)[:, 0] if "t_s" in rows[0] else None
     samples = read_em_samples(em).for_images(images, t_s)
-    visible = np.isfinite(samples.position_mm).all(axis=1).tolist()
+    visible = [bool(np.isfinite(position).all()) for position in samples.position_mm]
     error = [_what_is_missing(row, seen) for row, seen in zip(rows, visible, strict=True)]
     if all(error):
         raise InputError(f"None of the {len(rows)} rows of {matches} can be judged; the first: {error[0]}.")
