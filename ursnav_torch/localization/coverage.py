@@ -38,13 +38,13 @@ class CoverageSettings:
     patch_mm: float = 1.0
     calyx_mm: float = 10.0
     nearest_mm: float = 1.0
-    farthest_mm: float = 12.0
-    incidence_deg: float = 75.0
+    farthest_mm: float = 10.0
+    incidence_deg: float = 70.0
     edge_share: float = 0.95
     dwell_s: float = 0.3
     longest_gap_s: float = 0.25
     glimpsed: float = 0.1
-    inspected: float = 0.6
+    inspected: float = 0.7
 
     def __post_init__(self) -> None:
         if not 0 < self.nearest_mm < self.farthest_mm or not 0 < self.incidence_deg < 90 or self.patch_mm <= 0:
@@ -142,7 +142,9 @@ class Coverage:
         way = self.patches.center_mm[near] - position
         distance = np.linalg.norm(way, axis=1)
         ray = way / np.maximum(distance, 1e-9)[:, None]
-        keep = (distance >= s.nearest_mm * unit) & (ray @ T_kidney_camera[:3, 2] > np.cos(self.settings.edge_share * self._half_field))
+        keep = (distance >= s.nearest_mm * unit) & (
+            ray @ T_kidney_camera[:3, 2] > np.cos(self.settings.edge_share * self._half_field)
+        )
         keep &= np.sum(ray * self.patches.normal[near], axis=1) > np.cos(np.radians(s.incidence_deg))
         keep[keep] = self.camera.project(ray[keep] @ T_kidney_camera[:3, :3])[1]
         near, distance, ray = near[keep], distance[keep], ray[keep]
@@ -172,7 +174,9 @@ class Coverage:
         area, seen = self.patches.area_mm2, self.seen()
         reachable = float(area[self.in_reach].sum())
         return {
-            "calyces": {c.calyx: {k: v for k, v in _rounded(asdict(c)).items() if k != "calyx"} for c in self.calyces()},
+            "calyces": {
+                c.calyx: {k: v for k, v in _rounded(asdict(c)).items() if k != "calyx"} for c in self.calyces()
+            },
             "share": round(float(area[seen & self.in_reach].sum()) / reachable, 4) if reachable else 0.0,
             "reachable": round(reachable / float(area.sum()), 4),
             "area_mm2": round(float(area.sum()), 1),
@@ -186,7 +190,7 @@ def divide_wall(kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings
     fine = mesh.area_faces > 1e-12
     centers, normals = np.asarray(mesh.triangles_center), np.asarray(mesh.face_normals)
     cell = np.column_stack([np.floor(centers / side), np.abs(normals).argmax(1), normals.max(1) > 1e-9])
-    of_face = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    of_face: IntArray = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel().astype(np.int64)
     area = np.where(fine, mesh.area_faces, 0.0)
     total = np.bincount(of_face, area)
 

@@ -1,0 +1,81 @@
+"""How the tip of the scope moves from picture to picture: what follows from what, and with what probability."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """Limits of the scope's motion; mm at the kidney's scale 1.
+
+    Attributes:
+        speed_mm_s: typical speed along the lumen.
+        turn_deg_s: typical speed of turning, roll included.
+        spacing_mm, spacing_deg: how coarse the poses compared are; a scope that stands still moves by this much
+            from one to the next.
+        jump: probability a second that the scope is anywhere else: a cut in the video, or a wrong track before.
+    """
+
+    speed_mm_s: float = 8.0
+    turn_deg_s: float = 45.0
+    spacing_mm: float = 1.0
+    spacing_deg: float = 8.0
+    jump: float = 0.02
+
+    def __post_init__(self) -> None:
+        if min(self.speed_mm_s, self.turn_deg_s, self.spacing_mm, self.spacing_deg) <= 0 or not 0 < self.jump < 1:
+            raise InputError(f"Motion needs speeds and spacings above 0 and 0 < jump < 1, got {self}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Hypotheses:
+    """Poses that the scope may have.
+
+    Attributes:
+        T_kidney_camera: (M, 4, 4).
+        to_tips_mm: (M, C) way along the lumen from each to every calyx.
+        weight: (M,) probabilities, sum 1.
+    """
+
+    T_kidney_camera: Array
+    to_tips_mm: Array
+    weight: Array
+
+
+def transition(
+    before: Hypotheses, T: Array, to_tips_mm: Array, seconds: float, motion: MotionSettings, unit: float
+) -> Array:
+    """Log-probability (N,) of poses T (N, 4, 4) some seconds after ``before``, up to a constant.
+
+    Bell-shaped in the way along the lumen and in the turn, with the tails that views far apart and a scope that
+    jerks need, mixed over the hypotheses, on a floor of jumps. The way between
+    two places is at least their distance, and at least the difference of their ways to any tip (triangle inequality):
+    the larger of the two keeps neighbors through a wall apart.
+
+    Args:
+        before: what was known before.
+        T, to_tips_mm: poses and their ways to the tips (N, C).
+        seconds: since.
+        motion: limits.
+        unit: the kidney's scale.
+    """
+    way = np.linalg.norm(T[:, None, :3, 3] - before.T_kidney_camera[None, :, :3, 3], axis=-1)
+    for calyx in range(to_tips_mm.shape[1]):
+        np.maximum(way, np.abs(to_tips_mm[:, None, calyx] - before.to_tips_mm[None, :, calyx]), out=way)
+    trace = T[:, :3, :3].reshape(len(T), 9) @ before.T_kidney_camera[:, :3, :3].reshape(-1, 9).T
+    turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    reach = unit * np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)
+    swing = np.radians(np.hypot(motion.spacing_deg, motion.turn_deg_s * seconds))
+    near = np.exp(2 - np.sqrt(1 + (way / reach) ** 2) - np.sqrt(1 + (turn / swing) ** 2)) @ before.weight
+    jump = 1 - (1 - motion.jump) ** max(seconds, 1e-3)
+    return np.log((1 - jump) * near + jump * _JUMP_DENSITY)
+
+
+#: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
+_JUMP_DENSITY = 1e-5

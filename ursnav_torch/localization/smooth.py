@@ -1,0 +1,94 @@
+"""Smoothing a track lightly, by the scope's motion alone: a Kalman filter at constant velocity, causal."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import transform_from
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothSettings:
+    """How much is believed to be noise; mm at the kidney's scale 1.
+
+    Attributes:
+        position_mm, turn_deg: standard deviation of a well aligned pose.
+        good: alignment score of such a pose.
+        spoil: by e-fold the deviation grows as the score falls short of ``good`` by 1.
+        push_mm_s2: how fast the scope changes its speed.
+        swing_deg_s: how fast it turns.
+        fade_s: a scope that nothing is seen of is believed to come to rest within this time.
+    """
+
+    position_mm: float = 0.35
+    turn_deg: float = 2.0
+    good: float = 0.75
+    spoil: float = 7.0
+    push_mm_s2: float = 25.0
+    swing_deg_s: float = 35.0
+    fade_s: float = 0.3
+
+    def __post_init__(self) -> None:
+        if min(self.position_mm, self.turn_deg, self.push_mm_s2, self.swing_deg_s, self.fade_s) <= 0:
+            raise InputError(f"Smoothing needs standard deviations and times above 0, got {self}.")
+
+
+class PoseFilter:
+    """Position and velocity by a Kalman filter, one for all axes; rotation by the gain that its own noise gives."""
+
+    def __init__(self, settings: SmoothSettings | None = None, unit: float = 1.0) -> None:
+        self.settings, self._unit = settings or SmoothSettings(), unit
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the track."""
+        self._state: Array | None = None  # (2, 3) position and velocity
+        self._covariance, self._turn_variance = np.zeros((2, 2)), 0.0
+        self._R, self._at_s = np.eye(3), 0.0
+
+    def predict(self, t_s: float) -> Array | None:
+        """Pose (4, 4) at a later time, as far as motion tells; None before the first pose."""
+        if self._state is None:
+            return None
+        s, dt = self.settings, max(t_s - self._at_s, 0.0)
+        fade = np.exp(-dt / s.fade_s)
+        F = np.array([[1.0, s.fade_s * (1 - fade)], [0.0, fade]])
+        push = (s.push_mm_s2 * self._unit) ** 2 * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
+        self._state, self._covariance = F @ self._state, F @ self._covariance @ F.T + push
+        self._turn_variance += (np.radians(s.swing_deg_s) * dt) ** 2
+        self._at_s = t_s
+        return transform_from(self._R, self._state[0])
+
+    def update(self, T_kidney_camera: Array, t_s: float, score: float) -> Array:
+        """The smoothed pose (4, 4) after a pose measured at ``t_s`` with an alignment score."""
+        s = self.settings
+        worse = np.exp(s.spoil * max(s.good - score, 0.0))
+        sigma, turn = s.position_mm * self._unit * worse, np.radians(s.turn_deg) * worse
+        if self.predict(t_s) is None:
+            self._state = np.stack([T_kidney_camera[:3, 3], np.zeros(3)])
+            self._covariance = np.diag([sigma, 5.0 * self._unit]) ** 2
+            self._R, self._turn_variance, self._at_s = T_kidney_camera[:3, :3].copy(), turn**2, t_s
+        else:
+            self.measure(T_kidney_camera[:3, 3], sigma)
+            gain = self._turn_variance / (self._turn_variance + turn**2)
+            turned = Rotation.from_matrix(self._R.T @ T_kidney_camera[:3, :3]).as_rotvec()
+            self._R = self._R @ Rotation.from_rotvec(gain * turned).as_matrix()
+            self._turn_variance *= 1 - gain
+        return self.pose()
+
+    def measure(self, position_mm: Array, sigma_mm: float) -> None:
+        """Take in a position (3,) at the time of the last prediction or update."""
+        assert self._state is not None
+        gain = self._covariance[:, 0] / (self._covariance[0, 0] + sigma_mm**2)
+        self._state = self._state + gain[:, None] * (position_mm - self._state[0])
+        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
+
+    def pose(self) -> Array:
+        """(4, 4) the present pose."""
+        assert self._state is not None
+        return transform_from(self._R, self._state[0])

@@ -1,0 +1,173 @@
+"""Following the scope through a video: a Bayesian filter over the views, and local refinement of the best pose.
+
+The scope's pose is one of many hypotheses, each a view turned as the scan found it. A picture weighs them by how well
+they fit, the motion model by how they follow from those before. Both work on all of the VID's views in every picture,
+so the filter finds back by itself after a loss. Only past pictures are used.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.localization.motion import Hypotheses, MotionSettings
+from ursnav_torch.localization.refine import RefinementSettings, Refiner
+from ursnav_torch.localization.smooth import PoseFilter, SmoothSettings
+from ursnav_torch.localization.track_search import PlaceSearch, SensorReading, TrackSettings, place
+from ursnav_torch.matching import one_thread_an_operation
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """One picture's answer.
+
+    Attributes:
+        state: ``tracking``, ``searching`` (no place leads yet) or ``lost`` (nothing fits as it should).
+        T_kidney_camera: (4, 4), or None unless tracking.
+        calyx: index of the calyx observed, -1 for none.
+        confidence: probability of that calyx among the hypotheses.
+        fit: of the best hypothesis to the picture, nan where that showed nothing.
+        score: how well the refined pose is aligned, 1 is perfect; nan likewise.
+        seconds: from picture to answer.
+    """
+
+    state: str
+    T_kidney_camera: Array | None
+    calyx: int
+    confidence: float
+    fit: float
+    score: float
+    seconds: float
+
+
+class Tracker:
+    """Follows the scope in one kidney, picture by picture.
+
+    Args:
+        vid: the views; their features must have maps (the default features have).
+        lumen: distances along the lumen; made when None.
+        settings, motion, smoothing, refinement: how to weigh, what moves how, and how poses are refined.
+
+    Raises:
+        InputError: the VID's features have no maps.
+    """
+
+    def __init__(
+        self,
+        vid: Vid,
+        lumen: LumenDistance | None = None,
+        settings: TrackSettings | None = None,
+        motion: MotionSettings | None = None,
+        smoothing: SmoothSettings | None = None,
+        refinement: RefinementSettings | None = None,
+    ) -> None:
+        if not vid.features.maps.numel():
+            raise InputError(
+                f"The VID {vid.folder} has features without maps, which tracking needs; build it with features=default."
+            )
+        self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
+        self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
+        self._refiner = Refiner(vid, refinement or RefinementSettings(rounds=2, iterations=4), self.lumen)
+        self._smooth = PoseFilter(smoothing, vid.kidney.scale)
+        self._extractor = vid.extractor()
+        self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the scope may be anywhere."""
+        self._smooth.reset()
+        self._before: Hypotheses | None = None
+        self._at_s: float | None = None
+        self._seen_s, self._trust, self._state = 0.0, 0.0, SEARCHING
+        self._light: Array | None = None
+        self._last: Array | None = None
+
+    def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
+        """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
+
+        Raises:
+            InputError: the picture cannot be of the VID's lens.
+        """
+        start = time.perf_counter()
+        with torch.inference_mode(), one_thread_an_operation():
+            try:
+                features = self._extractor.extract(image)
+            except FeatureError:
+                return self._bridge(t_s, start)
+            return self._follow(features, t_s, sensor, start)
+
+    def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
+        """The answer to a picture that shows something."""
+        passed = self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
+        found, fit = self._search.weigh(features, self._before, passed, sensor)
+        T, share = place(found, self.settings, self.vid.kidney.scale)
+        candidates = [T, found.T_kidney_camera[found.weight.argmax()]]
+        candidates[1:1] = [] if self._last is None else [self._last]
+        refined = self._refiner.refine(features, candidates, self._light)
+        self._remember(found, share, refined.T_kidney_camera, t_s)
+        self._judge(fit, refined.score, share, passed)
+        if refined.score > self.settings.well_aligned:
+            self._light = refined.light if self._light is None else 0.8 * self._light + 0.2 * refined.light
+        if self._state != TRACKING:
+            self._smooth.reset()
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
+        T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
+        calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
+        agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
+        confidence = float(found.weight[agree].sum()) / (1 + np.exp(-self._trust))
+        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
+
+    def _remember(self, found: Hypotheses, share: float, T: Array, t_s: float) -> None:
+        """Keep the hypotheses, and the refined pose as one of them with half of its place's share."""
+        weight = np.append((1 - share / 2) * found.weight, share / 2)
+        to_tips = np.concatenate([found.to_tips_mm, self.lumen.to_calyces(T[None, :3, 3])])
+        self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
+        self._last, self._at_s, self._seen_s = T, t_s, t_s
+
+    def _judge(self, fit: float, score: float, share: float, seconds: float) -> None:
+        """Weigh whether this is the VID's kidney and one place leads: a sequential test with bounds (Wald 1945)."""
+        s = self.settings
+        odds = s.own_kidney[0] + s.own_kidney[1] * fit + s.own_kidney[2] * score
+        gain = float(np.clip(odds, -s.most, s.most)) * min(seconds, 4 * s.usual_s) / s.usual_s
+        self._trust = float(np.clip(self._trust + gain, -s.bound, s.bound))
+        if self._trust <= -s.give_up:
+            self._state = LOST
+        elif self._trust >= s.believe and share >= s.sure:
+            self._state = TRACKING
+        elif self._state == TRACKING and share < s.sure / 2:
+            self._state = SEARCHING
+
+    def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
+        """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
+        expected = self._smooth.predict(t_s)
+        far = self.settings.near_mm * self.vid.kidney.scale
+        if expected is not None and np.linalg.norm(expected[:3, 3] - T[:3, 3]) > 2 * far:
+            self._smooth.reset()
+        T = self._smooth.update(T, t_s, score)
+        if sensor is not None:
+            at = sensor.position_mm - T[:3, :3] @ sensor.offset_camera_mm
+            if np.linalg.norm(at - T[:3, 3]) <= 4 * sensor.sigma_mm:
+                self._smooth.measure(at, sensor.sigma_mm)
+                T = self._smooth.pose()
+        return T
+
+    def _bridge(self, t_s: float, start: float) -> Tracked:
+        """The answer to a picture that shows nothing: where motion leads, for a while."""
+        if self._state == TRACKING and t_s - self._seen_s > self.settings.bridge_s:
+            self._state = SEARCHING
+            self._smooth.reset()
+        T = self._smooth.predict(t_s) if self._state == TRACKING else None
+        if T is None:
+            return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
+        calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
+        confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.bridge_s) / (1 + np.exp(-self._trust))
+        return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, time.perf_counter() - start)

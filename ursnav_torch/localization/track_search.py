@@ -1,0 +1,162 @@
+"""Where in the VID a picture fits, given what was known before: every view weighed, the best tried at small tilts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import Features, polar_grid, polar_maps
+from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.localization.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.localization.scan import RollScan, tilts
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """How pictures are weighed over time.
+
+    Attributes:
+        relief_weight, direction_weight: of the scan's channels, see `LocalizationSettings`.
+        fit_width: a fit better by this is e times as probable.
+        tilt_step_deg, tilt_rounds: tilts tried for the best hypotheses.
+        hypotheses: poses kept from picture to picture.
+        newcomers: of these, poses that fit best wherever they are.
+        near_mm, near_deg: hypotheses within this of the best are one place; their mean is the pose.
+        sure: share of the probability that one place needs to lead; below half of it, it leads no more.
+        bridge_s: pictures that show nothing are bridged for this long.
+        usual_s: time between pictures that the next numbers are stated for.
+        own_kidney: intercept and weights of the fit and of the alignment's score in the log-odds that a picture shows
+            the VID's kidney and not another; from simulated explorations of phantoms (``benchmarks.tracking``).
+        most: a single picture counts for no more than this.
+        believe, give_up, bound: the sum of the log-odds from which on a track is believed, below minus which it is
+            given up, and which it never exceeds.
+        well_aligned: alignments of this score tell where the scope's light is.
+    """
+
+    relief_weight: float = 1.0
+    direction_weight: float = 2.0
+    fit_width: float = 0.15
+    tilt_step_deg: float = 5.0
+    tilt_rounds: int = 2
+    hypotheses: int = 48
+    newcomers: int = 12
+    near_mm: float = 3.0
+    near_deg: float = 25.0
+    sure: float = 0.5
+    bridge_s: float = 1.0
+    usual_s: float = 0.1
+    own_kidney: tuple[float, float, float] = (-8.0, 2.5, 9.0)
+    most: float = 1.0
+    believe: float = 1.0
+    give_up: float = 3.0
+    bound: float = 5.0
+    well_aligned: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 < self.newcomers < self.hypotheses or self.fit_width <= 0 or not 0 < self.sure < 1:
+            raise InputError(
+                "Tracking needs 0 < newcomers < hypotheses, fit_width > 0 and 0 < sure < 1, got "
+                f"{self.newcomers}, {self.hypotheses}, {self.fit_width} and {self.sure}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class SensorReading:
+    """Where the EM sensor is, in the kidney frame.
+
+    Attributes:
+        position_mm: (3,) kidney frame.
+        offset_camera_mm: (3,) the sensor's place in the camera frame.
+        sigma_mm: standard deviation of the position along each axis, registration included.
+    """
+
+    position_mm: Array
+    offset_camera_mm: Array
+    sigma_mm: float
+
+
+class PlaceSearch:
+    """The views of a VID, ready to be weighed against one picture after the other.
+
+    Args:
+        vid, lumen: the views, and distances in their kidney.
+        settings, motion: how to weigh.
+        working_camera: the lens in which features give their fields.
+    """
+
+    def __init__(
+        self, vid: Vid, lumen: LumenDistance, settings: TrackSettings, motion: MotionSettings, working_camera: Camera
+    ) -> None:
+        self.settings, self.motion, self._unit = settings, motion, vid.kidney.scale
+        self._T, self._to_tips = vid.T_kidney_camera, lumen.to_calyces(vid.T_kidney_camera[:, :3, 3])
+        channels = vid.features.maps.shape[1]
+        weight = torch.full((channels,), settings.direction_weight * 2 / max(channels - 1, 1))
+        weight[0] = settings.relief_weight
+        self._scan = RollScan(vid.features.maps, weight)
+        self._tilts = tilts(settings.tilt_step_deg, settings.tilt_rounds)
+        self._grids = polar_grid(working_camera, self._tilts)
+
+    def weigh(
+        self, features: Features, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
+    ) -> tuple[Hypotheses, float]:
+        """The hypotheses after a picture, some seconds after those before, and how well the best of them fits."""
+        s = self.settings
+        straight = self._scan.scan(features.maps[None])
+        T = self._T @ _rolled(straight.roll, np.eye(3))
+        score = straight.score.numpy().astype(float)
+        views = self._worth_trying(self._prior(T, self._to_tips, before, seconds, sensor) + score / s.fit_width, score)
+        tilted = self._scan.scan(polar_maps(features.fields, self._grids), torch.from_numpy(views))
+        T = self._T[views] @ _rolled(tilted.roll, np.swapaxes(self._tilts[tilted.tilt.numpy()], 1, 2))
+        to_tips, score = self._to_tips[views], tilted.score.numpy().astype(float)
+        log = self._prior(T, to_tips, before, seconds, sensor) + score / s.fit_width
+        weight = np.exp(log - log.max())
+        return Hypotheses(T, to_tips, weight / weight.sum()), float(score[log.argmax()])
+
+    def _worth_trying(self, log: Array, score: Array) -> NDArray[np.int64]:
+        """The most probable views, and those that fit best wherever they are."""
+        s = self.settings
+        probable = np.argsort(-log)[: s.hypotheses - s.newcomers]
+        return np.union1d(probable, np.argsort(-score)[: s.newcomers])
+
+    def _prior(
+        self, T: Array, to_tips: Array, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
+    ) -> Array:
+        """Log-probability (N,) of poses before the picture is looked at."""
+        log = np.zeros(len(T))
+        if before is not None:
+            log = transition(before, T, to_tips, seconds, self.motion, self._unit)
+        if sensor is not None:
+            at = T[:, :3, :3] @ sensor.offset_camera_mm + T[:, :3, 3]
+            width = np.hypot(sensor.sigma_mm, self.motion.spacing_mm * self._unit)
+            off = np.linalg.norm(at - sensor.position_mm, axis=1) / width
+            log = log + np.logaddexp(-0.5 * off**2, _SENSOR_WRONG)
+        return log
+
+
+def place(hypotheses: Hypotheses, settings: TrackSettings, unit: float) -> tuple[Array, float]:
+    """The mean pose (4, 4) of the hypotheses near the best, and their share of the probability."""
+    T = hypotheses.T_kidney_camera
+    best = int(hypotheses.weight.argmax())
+    near = np.linalg.norm(T[:, :3, 3] - T[best, :3, 3], axis=1) <= settings.near_mm * unit
+    near &= rotation_angle(T[best], T) <= np.radians(settings.near_deg)
+    w = hypotheses.weight[near]
+    R = Rotation.from_matrix(T[near, :3, :3]).mean(weights=w).as_matrix()
+    return transform_from(R, np.average(T[near, :3, 3], axis=0, weights=w)), float(w.sum())
+
+
+def _rolled(roll: torch.Tensor, R: Array) -> Array:
+    """Transforms (N, 4, 4) that turn by R (3, 3) or (N, 3, 3), then by rolls (N,) about the optical axis."""
+    turn = Rotation.from_rotvec(roll.numpy()[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    return transform_from(turn @ R, np.zeros(3))
+
+
+#: Log-probability density at which a reading that fits nowhere stops counting: the sensor may be wrong.
+_SENSOR_WRONG = -8.0
