@@ -1,0 +1,89 @@
+"""Where a picture was taken, and the conventions of the answer."""
+
+import numpy as np
+import pytest
+
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.geometry import angle_between, look_along, rotation_angle, transform_from
+from ursnav_torch.localization import Localizer
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.vid import Vid
+
+
+@pytest.fixture(scope="module")
+def localizer(vid: Vid) -> Localizer:
+    return Localizer(vid)
+
+
+def rolled(T_kidney_camera: np.ndarray, degrees: float) -> np.ndarray:
+    """The camera turned about its own optical axis, x towards y."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return T_kidney_camera @ transform_from([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.zeros(3))
+
+
+def test_convention_rolling_is_look_alongs_roll() -> None:
+    np.testing.assert_allclose(
+        rolled(look_along([1, 2, 3], [1, 1, 0]), 40), look_along([1, 2, 3], [1, 1, 0], np.radians(40)), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("view", [3, 27])
+@pytest.mark.parametrize("roll_deg", [40.0, -100.0, 180.0])
+def test_convention_a_rolled_scope_is_found_rolled(
+    localizer: Localizer, renderer: RaycastRenderer, view: int, roll_deg: float
+) -> None:
+    """The sign of the roll, end to end: the view drawn with the camera rolled by +40 degrees is found at +40."""
+    truth = rolled(localizer.vid.T_kidney_camera[view], roll_deg)
+    found = localizer.locate(renderer.render(truth).image)
+    assert found.view == view
+    assert np.degrees(rotation_angle(truth, found.T_kidney_camera)) < 2
+    np.testing.assert_allclose(found.T_kidney_camera[:3, 3], truth[:3, 3], atol=0.5)
+
+
+def test_a_view_is_found_where_it_stands(localizer: Localizer, vid: Vid, picture: np.ndarray) -> None:
+    found = localizer.locate(picture)
+    assert found.view == 3 == found.candidates[0].view and found.calyx == vid.calyx[3]
+    assert found.calyx_name == vid.calyx_name(found.calyx)
+    assert found.distance == found.candidates[0].distance and 0 <= found.confidence <= 1
+    assert len({c.view for c in found.candidates}) == len(found.candidates) == 5
+    assert found.accepted == (found.confidence >= localizer.settings.accept)
+    np.testing.assert_array_equal(found.T_kidney_camera, found.candidates[0].T_kidney_camera)
+
+
+def test_pictures_between_the_views_are_found_near(localizer: Localizer, vid: Vid, renderer: RaycastRenderer) -> None:
+    """Half a millimeter aside, tilted by 4 degrees and rolled: in the right calyx, within millimeters and degrees."""
+    rng = np.random.default_rng(0)
+    right, off_mm, off_deg = [], [], []
+    for view in (2, 14, 26, 38, 50, 62):
+        T = vid.T_kidney_camera[view]
+        at, axis = T[:3, 3] + rng.normal(0, 0.3, 3), T[:3, 2] + rng.normal(0, 0.05, 3)
+        truth = look_along(at, axis, rng.uniform(-np.pi, np.pi))
+        found = localizer.locate(renderer.render(truth).image)
+        right.append(found.calyx == vid.calyx[view])
+        off_mm.append(np.linalg.norm(found.T_kidney_camera[:3, 3] - at))
+        off_deg.append(np.degrees(angle_between(found.T_kidney_camera[:3, 2], axis)))
+    assert np.mean(right) >= 5 / 6 and np.median(off_mm) < 3 and np.median(off_deg) < 10
+
+
+def test_neither_color_nor_exposure_matters(localizer: Localizer, picture: np.ndarray) -> None:
+    straight = localizer.locate(picture)
+    red = np.dstack([picture * 0.2, picture * 0.3, picture * 0.8]).astype(np.uint8)
+    for other in (red, (picture * 0.5).astype(np.uint8), np.dstack([picture] * 3)):
+        assert localizer.locate(other).view == straight.view
+
+
+def test_the_same_picture_gives_the_same_answer(localizer: Localizer, picture: np.ndarray) -> None:
+    first, again = localizer.locate(picture), localizer.locate(picture)
+    assert [c.view for c in first.candidates] == [c.view for c in again.candidates]
+    np.testing.assert_allclose(first.T_kidney_camera, again.T_kidney_camera, atol=1e-6)
+
+
+def test_refusals(localizer: Localizer, picture: np.ndarray) -> None:
+    with pytest.raises(FeatureError, match="all black"):
+        localizer.locate(np.zeros_like(picture))
+    with pytest.raises(FeatureError, match="all white"):
+        localizer.locate(np.full_like(picture, 255))
+    with pytest.raises(InputError, match="1 x 1 px, but the lens is 96 x 96"):
+        localizer.locate(picture[:1, :1])
+    with pytest.raises(InputError, match="uint8"):
+        localizer.locate(picture.astype(float))  # type: ignore[arg-type]
