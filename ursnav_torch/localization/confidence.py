@@ -1,7 +1,7 @@
 """How sure: a calibrated probability that the calyx is right, learned when the VID is built."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 #: Width of the vote among near-best views: distances this much apart count 1 to e.
 VOTE_WIDTH = 0.012
-#: Used for a VID without calibration: intercept and one weight a number of `Evidence.numbers`.
-UNCALIBRATED = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+#: Numbers that refinement adds: the aligned score, and 1 where the refined pose observes the calyx that was voted for.
+REFINED_NUMBERS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,25 +64,27 @@ class Confidence:
     """Logistic regression on the evidence (Platt 1999).
 
     Attributes:
-        weights: intercept, then one a number of `Evidence.numbers`.
+        weights: intercept, then one a number.
     """
 
-    weights: tuple[float, ...] = UNCALIBRATED
+    weights: tuple[float, ...]
 
     @classmethod
-    def from_calibration(cls, calibration: Mapping[str, object] | None) -> "Confidence":
-        """From what the VID stored; a plain vote for a VID without calibration."""
-        weights = (calibration or {}).get("confidence")
-        return cls(tuple(float(w) for w in weights)) if isinstance(weights, Sequence) else cls()
+    def from_calibration(cls, calibration: Mapping[str, object] | None, refined: bool) -> "Confidence":
+        """From what the VID stored for answers with or without refinement; the plain vote without calibration."""
+        learned = (calibration or {}).get("confidence")
+        if isinstance(learned, Mapping):
+            return cls(tuple(float(w) for w in learned["refined" if refined else "nearest"]))
+        return cls((0.0, 0.0, 0.0, 1.0, 0.0, 0.0) + (0.0,) * (REFINED_NUMBERS if refined else 0))
 
-    def probability(self, seen: Evidence) -> float:
-        """Probability in 0..1 that the evidence's calyx is right."""
-        z = self.weights[0] + float(np.dot(self.weights[1:], seen.numbers()))
+    def probability(self, numbers: Array) -> float:
+        """Probability in 0..1 that the answer is right, from its evidence numbers (N,)."""
+        z = self.weights[0] + float(np.dot(self.weights[1:], numbers))
         return 1 / (1 + math.exp(-max(min(z, 30.0), -30.0)))
 
 
 def fit(numbers: Array, right: NDArray[np.bool_]) -> Confidence:
-    """Fit to evidence numbers (N, 5) and whether each answer was right (N,); lightly regularized."""
+    """Fit to evidence numbers (M, N) and whether each answer was right (M,); lightly regularized."""
     center, spread = numbers.mean(0), numbers.std(0) + 1e-6
     x = np.column_stack([np.ones(len(numbers)), (numbers - center) / spread])
     sign = np.where(right, 1.0, -1.0)

@@ -11,7 +11,7 @@ from ursnav_torch.errors import FeatureError
 from ursnav_torch.files import Progress, no_progress
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.ambiguity import find_look_alikes
-from ursnav_torch.localization.confidence import evidence, fit
+from ursnav_torch.localization.confidence import REFINED_NUMBERS, fit
 from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.matching import one_thread_an_operation
 from ursnav_torch.rendering import WarpSettings, deform_mesh
@@ -86,8 +86,8 @@ def learn_confidence(
     rng = np.random.default_rng(plan.seed + 1)
     alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
     localizer = Localizer(vid)
-    numbers, shown, answered, far = [], [], [], []
     lumen = LumenDistance.from_kidney(vid.kidney)
+    found, shown, far = [], [], []
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
     with torch.inference_mode(), one_thread_an_operation(), progress(total, "pictures to learn from") as advance:
         for image, calyx, T in _pictures(vid, make_renderer, alike, rng):
@@ -96,17 +96,19 @@ def learn_confidence(
                 features = localizer.features(image)
             except FeatureError:
                 continue
-            ranking = localizer.rank(features)
-            seen = evidence(ranking.distance, localizer.calyces(ranking), features)
-            numbers.append(seen.numbers())
+            found.append(localizer.judge(features))
             shown.append(calyx)
-            answered.append(seen.calyx)
             far.append(lumen.to_calyces(T[:3, 3])[0, calyx] if calyx >= 0 else np.nan)
-    right = np.array(shown) == np.array(answered)
-    learned = fit(np.array(numbers), right)
-    look_alikes = find_look_alikes(np.array(shown), np.array(answered), np.array(far), len(vid.kidney.calyces))
+    numbers, answered = np.array([f.numbers for f in found]), np.array([f.calyx for f in found])
+    voted = np.array([f.voted for f in found])
+    nearest = numbers if found[0].refined is None else numbers[:, :-REFINED_NUMBERS]
+    right = np.array(shown) == answered
+    look_alikes = find_look_alikes(np.array(shown), answered, np.array(far), len(vid.kidney.calyces))
     return {
-        "confidence": list(learned.weights),
+        "confidence": {
+            "refined": list(fit(numbers, right).weights),
+            "nearest": list(fit(nearest, np.array(shown) == voted).weights),
+        },
         "queries": len(right),
         "right": int(right.sum()),
         "look_alikes": look_alikes.to_dict(),

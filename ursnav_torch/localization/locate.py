@@ -10,9 +10,10 @@ from torch import Tensor
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features, polar_grid, polar_maps
-from ursnav_torch.geometry import angle_between, transform_from
-from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance
+from ursnav_torch.geometry import angle_between, rotation_angle, transform_from
+from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
 from ursnav_torch.localization.confidence import Confidence, evidence
+from ursnav_torch.localization.refine import Refined, Refiner
 from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.localization.shape import ShapeStage
 from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext, one_thread_an_operation
@@ -57,7 +58,7 @@ class LocalizationSettings:
     tilt_rounds: int = 3
     candidates: int = 32
     keep: int = 5
-    refine: bool = False
+    refine: bool = True
     accept: float = 0.7
 
     def __post_init__(self) -> None:
@@ -130,6 +131,29 @@ class Ranking:
     R_view_query: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a picture's features say.
+
+    Attributes:
+        ranking: the nearest views.
+        poses: (K, 4, 4) the picture's pose as each of them has it.
+        calyces: (K,) calyx observed from there, -1 for none.
+        calyx: the answer.
+        voted: the calyx that the nearest views vote for.
+        numbers: what confidence is computed from, see `confidence.Evidence`.
+        refined: the refined pose, None where refinement is off.
+    """
+
+    ranking: Ranking
+    poses: Array
+    calyces: Tensor
+    calyx: int
+    voted: int
+    numbers: Array
+    refined: Refined | None
+
+
 class Localizer:
     """Locates pictures in one VID.
 
@@ -149,9 +173,11 @@ class Localizer:
         self.vid, self.settings = vid, settings or LocalizationSettings()
         self._extractor = vid.extractor()
         self._shape = ShapeStage(vid.features, vid.camera, matching or default_matching())
-        lumen = LumenDistance.from_kidney(vid.kidney)
-        self._near = lumen.to_calyces(vid.T_kidney_camera[:, :3, 3]) <= OBSERVED_WITHIN_MM * vid.kidney.scale
-        self._confidence = Confidence.from_calibration(vid.calibration)
+        self._lumen = LumenDistance.from_kidney(vid.kidney)
+        self._near = self._lumen.to_calyces(vid.T_kidney_camera[:, :3, 3]) <= OBSERVED_WITHIN_MM * vid.kidney.scale
+        able = self.settings.refine and vid.features.maps.shape[1] > 0
+        self._refiner = Refiner(vid, lumen=self._lumen) if able else None
+        self._confidence = Confidence.from_calibration(vid.calibration, able)
         s, channels = self.settings, vid.features.maps.shape[1]
         self._scan: RollScan | None = None
         if channels and s.relief_weight + s.direction_weight > 0:
@@ -171,16 +197,17 @@ class Localizer:
         start = time.perf_counter()
         with torch.inference_mode(), one_thread_an_operation():
             features = self.features(image)
-            ranking = self.rank(features)
-            seen = evidence(ranking.distance, self.calyces(ranking), features)
-        confidence = self._confidence.probability(seen)
-        poses, rows = self._poses(ranking), self._best(self.calyces(ranking), seen.calyx)
-        candidates = tuple(Candidate(int(ranking.views[i]), float(ranking.distance[i]), poses[i]) for i in rows)
+            found = self.judge(features)
+        confidence = self._confidence.probability(found.numbers)
+        rows = self._best(found)
+        candidates = tuple(
+            Candidate(int(found.ranking.views[i]), float(found.ranking.distance[i]), found.poses[i]) for i in rows
+        )
         best = candidates[0]
         return Location(
-            seen.calyx,
-            self.vid.calyx_name(seen.calyx),
-            best.T_kidney_camera,
+            found.calyx,
+            self.vid.calyx_name(found.calyx),
+            best.T_kidney_camera if found.refined is None else found.refined.T_kidney_camera,
             best.view,
             best.distance,
             confidence,
@@ -189,6 +216,19 @@ class Localizer:
             features,
             time.perf_counter() - start,
         )
+
+    def judge(self, features: Features) -> Judgement:
+        """What a picture's features say, before anyone asks how sure that is."""
+        ranking = self.rank(features)
+        poses, calyces = self._poses(ranking), self.calyces(ranking)
+        seen = evidence(ranking.distance, calyces, features)
+        if self._refiner is None:
+            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, seen.numbers(), None)
+        rows = _apart(poses, self._refiner.settings.hypotheses)
+        refined = self._refiner.refine(features, list(poses[rows]))
+        calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
+        numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
+        return Judgement(ranking, poses, calyces, calyx, seen.calyx, numbers, refined)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture, as `locate` extracts them; the same errors."""
@@ -227,14 +267,33 @@ class Localizer:
         """Rotations (K, 3, 3) R_view_query: how the query's camera is turned against each view's."""
         return _roll_matrices(roll.numpy()) @ np.swapaxes(self._tilts[tilt.numpy()], 1, 2)
 
-    def _best(self, calyces: Tensor, calyx: int) -> list[int]:
-        """Rows of the ranking to name: first the best of the calyx decided on, then the best of all."""
-        first = int((calyces == calyx).nonzero()[0])
-        return [first, *[i for i in range(len(calyces)) if i != first]][: self.settings.keep]
+    def _best(self, found: Judgement) -> list[int]:
+        """Rows of the ranking to name: first the nearest to the refined pose or the best of the calyx, then by rank."""
+        if found.refined is not None:
+            away = np.linalg.norm(found.poses[:, :3, 3] - found.refined.T_kidney_camera[:3, 3], axis=1)
+            first = int((away + 0.15 * np.degrees(rotation_angle(found.poses, found.refined.T_kidney_camera))).argmin())
+        else:
+            first = int((found.calyces == found.calyx).nonzero()[0])
+        return [first, *[i for i in range(len(found.poses)) if i != first]][: self.settings.keep]
 
     def _poses(self, ranking: Ranking) -> Array:
         """T_kidney_camera (K, 4, 4) of the picture, from each ranked view."""
         return self.vid.T_kidney_camera[ranking.views.numpy()] @ transform_from(ranking.R_view_query, np.zeros(3))
+
+
+def _apart(poses: Array, most: int) -> list[int]:
+    """Rows of poses (K, 4, 4), best first, that differ by 1.5 mm or 20 degrees from all before: what to refine."""
+    rows: list[int] = []
+    for i, T in enumerate(poses):
+        near = [
+            np.linalg.norm(poses[j, :3, 3] - T[:3, 3]) < 1.5 and rotation_angle(poses[j], T) < np.radians(20)
+            for j in rows
+        ]
+        if not any(near):
+            rows.append(i)
+        if len(rows) == most:
+            break
+    return rows
 
 
 def _roll_matrices(roll: NDArray[np.float32]) -> Array:

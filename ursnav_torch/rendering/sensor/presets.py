@@ -19,7 +19,10 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Values between ``low`` and ``high``, evenly or evenly in the logarithm; clean in all but ``share`` of draws."""
+    """Values between ``low`` and ``high``, or between their logarithms; clean in all but ``share`` of draws.
+
+    The middle is likelier than the ends (the mean of two even draws): a scope rarely has all its faults at their worst.
+    """
 
     low: float
     high: float
@@ -28,7 +31,7 @@ class Span:
 
     def draw(self, rng: Rng, clean: float) -> float:
         """One value; ``clean`` where the fault is absent."""
-        u, present = rng.random(), rng.random() < self.share
+        u, present = (rng.random() + rng.random()) / 2, rng.random() < self.share
         if not present:
             return clean
         return (
@@ -187,7 +190,7 @@ def in_vivo_like(rng: Rng) -> SensorFaults:
 
 
 def draw_faults(preset: Preset, rng: Rng) -> SensorFaults:
-    """One random set of faults, each evenly from its span."""
+    """One random set of faults, each drawn from its span."""
     return _filled(preset, lambda span, clean: span.draw(rng, clean) if isinstance(span, Span) else span.draw(rng))
 
 
