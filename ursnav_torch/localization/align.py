@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 #: Fewer compared pixels than this say nothing.
 LEAST_PIXELS = 150
-_TUKEY = 3.0  # residuals beyond this many root mean squares do not count
+_TUKEY = 5.0  # residuals beyond this many root mean squares do not count
 _DAMPING = 1e-3
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
@@ -89,12 +89,12 @@ class Aligner:
     """
 
     def __init__(self, mesh: trimesh.Trimesh, grid: AlignGrid, unit_mm: float = 1.0) -> None:
-        self._grid, self._scene = grid, RayScene(mesh)
+        self.grid, self._scene = grid, RayScene(mesh)
         self._longest_step = 1.5 * unit_mm
         rays, self._inside = grid.camera.pixel_rays()
         self._rays = rays[self._inside].astype(np.float32)
 
-    def align(self, picture: Fields, T_kidney_camera: Array, light: Array = AT_CAMERA, iterations: int = 5) -> Aligned:
+    def align(self, picture: Fields, T_kidney_camera: Array, light: Array = AT_CAMERA, iterations: int = 8) -> Aligned:
         """The pose near ``T_kidney_camera`` (4, 4) from which the drawing lies best on a picture."""
         drawing = self.draw(T_kidney_camera, light)
         state = best = _State(np.eye(4), np.zeros(len(light)))
@@ -111,7 +111,7 @@ class Aligner:
 
     def draw(self, T_kidney_camera: Array, light: Array) -> Drawing:
         """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
-        grid, R = self._grid, T_kidney_camera[:3, :3].astype(np.float32)
+        grid, R = self.grid, T_kidney_camera[:3, :3].astype(np.float32)
         depth, normals = self._scene.cast(T_kidney_camera[:3, 3], self._rays @ R.T)
         hit = np.isfinite(depth)
         distance = np.full(self._inside.shape, np.inf, np.float32)
@@ -131,8 +131,8 @@ class Aligner:
     def _step(self, picture: Fields, drawing: Drawing, state: _State, light: Array) -> tuple[float, Array | None]:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
         T = state.T_picture_drawing
-        pixels, _ = self._grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
-        value, slope, compared = self._grid.sample(picture, pixels)
+        pixels, _ = self.grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
+        value, slope, compared = self.grid.sample(picture, pixels)
         good = drawing.seen * compared
         count = float(good.sum())
         if count < LEAST_PIXELS:

@@ -1,7 +1,7 @@
 """From the nearest views to the true pose: the best few aligned with the picture, the best kept."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.align import Aligned, Aligner
-from ursnav_torch.localization.align_fields import AlignGrid
+from ursnav_torch.localization.align_fields import AlignGrid, Fields
 from ursnav_torch.localization.align_light import AT_CAMERA
 from ursnav_torch.vid import Vid
 
@@ -25,23 +25,26 @@ class RefinementSettings:
 
     Attributes:
         hypotheses: candidates that are tried; after every round the better half goes on.
-        rounds: drawings that the winner is aligned with, one after the other.
-        iterations: steps an alignment at most.
-        size_px: shorter side of the drawings.
+        iterations: steps of one alignment at most.
+        coarse_px: shorter side of the drawings of the first round, which reaches farther.
+        fine_px: shorter side of the drawings of the other rounds.
+        fine_rounds: how many of those there are; each draws the kidney from where the last one ended.
         clearance_mm: the camera stays this far from the wall (times the kidney's scale).
     """
 
     hypotheses: int = 3
-    rounds: int = 4
-    iterations: int = 5
-    size_px: int = 62
+    iterations: int = 8
+    coarse_px: int = 40
+    fine_px: int = 62
+    fine_rounds: int = 2
     clearance_mm: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.hypotheses, self.rounds, self.iterations) < 1 or self.size_px < 32 or not self.clearance_mm >= 0:
+        sizes = (self.coarse_px, self.fine_px)
+        if min(self.hypotheses, self.iterations, self.fine_rounds) < 1 or min(sizes) < 24 or not self.clearance_mm >= 0:
             raise InputError(
-                "Refinement needs hypotheses, rounds and iterations >= 1, size_px >= 32 and clearance_mm >= 0; "
-                f"got {self}."
+                "Refinement needs hypotheses, iterations and fine_rounds >= 1, coarse_px and fine_px >= 24 and "
+                f"clearance_mm >= 0; got {self}."
             )
 
 
@@ -87,8 +90,10 @@ class Refiner:
         self.settings = settings or RefinementSettings()
         self._lumen = lumen or LumenDistance.from_kidney(vid.kidney)
         self._clearance = self.settings.clearance_mm * vid.kidney.scale
-        self._grid = AlignGrid(vid.camera, self.settings.size_px, vid.settings)
-        self._aligner = Aligner(vid.kidney.mesh, self._grid, vid.kidney.scale)
+        self._aligners = [
+            Aligner(vid.kidney.mesh, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)
+            for size in (self.settings.coarse_px, self.settings.fine_px)
+        ]
 
     def refine(self, features: Features, candidates: Sequence[Array], light: Array | None = None) -> Refined:
         """The best pose near one of the candidates.
@@ -104,33 +109,30 @@ class Refiner:
         if not len(candidates):
             raise InputError("Refinement needs at least one candidate pose, got none.")
         start = AT_CAMERA if light is None else np.asarray(light, float)
-        s = self.settings
-        with torch.inference_mode():
-            picture = self._grid.of_picture(features.fields[0])
-            states = [
-                (i, Aligned(check_rigid(T, "a candidate"), start, -1.0, 0))
-                for i, T in enumerate(candidates[: s.hypotheses])
-            ]
-            taken = 0
-            for _ in range(s.rounds):
-                tried = [
-                    (i, self._aligner.align(picture, a.T_kidney_camera, a.light, s.iterations), a) for i, a in states
-                ]
-                taken += sum(new.iterations for _, new, _ in tried)
-                states = [(i, self._kept_inside(new, old)) for i, new, old in tried]
-                states.sort(key=lambda state: -state[1].score)
-                states = states[: (len(states) + 1) // 2]
+        tried = candidates[: self.settings.hypotheses]
+        states = [(i, Aligned(check_rigid(T, "a candidate"), start, -1.0, 0)) for i, T in enumerate(tried)]
+        taken = 0
+        coarse, fine = self._aligners
+        for aligner, rounds in ((coarse, 1), (fine, self.settings.fine_rounds)):
+            with torch.inference_mode():
+                picture = aligner.grid.of_picture(features.fields[0])
+            for _ in range(rounds):
+                states = [(i, self._once(aligner, picture, state)) for i, state in states]
+                taken += sum(state.iterations for _, state in states)
+                states = sorted(states, key=lambda state: -state[1].score)[: (len(states) + 1) // 2]
         i, best = states[0]
         return Refined(best.T_kidney_camera, best.score, i, taken, best.light)
 
-    def _kept_inside(self, new: Aligned, old: Aligned) -> Aligned:
-        """``new``, held back on its way from ``old`` as far as the wall demands."""
-        T, start = new.T_kidney_camera, old.T_kidney_camera[:3, 3]
-        least = min(self._clearance, float(self._lumen.clearance_mm(start)[0]))
-        for share in (1.0, 0.75, 0.5, 0.25, 0.0):
-            position = start + share * (T[:3, 3] - start)
-            if share == 0 or float(self._lumen.clearance_mm(position)[0]) >= least:
-                break
-        held = T.copy()
-        held[:3, 3] = position
-        return Aligned(held, new.light, new.score, new.iterations)
+    def _once(self, aligner: Aligner, picture: Fields, old: Aligned) -> Aligned:
+        """One alignment, held back on its way as far as the wall demands."""
+        new = aligner.align(picture, old.T_kidney_camera, old.light, self.settings.iterations)
+        return replace(new, T_kidney_camera=self._kept_inside(new.T_kidney_camera, old.T_kidney_camera))
+
+    def _kept_inside(self, T_new: Array, T_old: Array) -> Array:
+        """``T_new``, or as much of the way there from ``T_old`` as keeps the camera clear of the wall."""
+        shares = np.array([1.0, 0.75, 0.5, 0.25, 0.0])
+        positions = T_old[:3, 3] + shares[:, None] * (T_new[:3, 3] - T_old[:3, 3])
+        room = self._lumen.clearance_mm(positions)
+        held = T_new.copy()
+        held[:3, 3] = positions[int(np.argmax(room >= min(self._clearance, room[-1])))]
+        return held
