@@ -1,4 +1,4 @@
-"""What the `register` runner does: a file in, a registration and a text about it out."""
+"""The choices of ``registration=`` for the `register` runner: files in, a registration and a text about it out."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,50 +16,66 @@ from ursnav_torch.registration.touch import touched_points
 
 
 def landmarks_job(
-    path: str | Path,
-    kidney: Kidney | None = None,
+    landmarks: Path | None,
+    points: Path | None,
+    kidney: Kidney | None,
     *,
     reach_mm: float = 0.0,
     with_scale: bool = False,
     ransac: float | None = None,
 ) -> Registration:
-    """``registration=landmarks``: `register_landmarks` on a landmark file; the kidney is not needed.
+    """``registration=landmarks``: `register_landmarks` on a landmark file.
 
     Args:
-        path: CSV with the columns of `read_landmarks`.
-        kidney: passed over.
+        landmarks: CSV with the columns of `read_landmarks`.
+        points: must be None.
+        kidney: not needed; tells the scale where it is given.
         reach_mm: from the sensor's position to the tip that touched; needs the columns em_dx, em_dy, em_dz.
         with_scale, ransac: see `register_landmarks`.
 
     Raises:
-        InputError, RegistrationError: as `register_landmarks` does; or the axes are missing.
+        InputError, RegistrationError: as `register_landmarks` does; or a file or the axes are missing.
     """
-    pairs = read_landmarks(path)
+    if landmarks is None or points is not None:
+        raise InputError("registration=landmarks takes landmarks=FILE; points=FILE goes with surface or centerline.")
+    pairs = read_landmarks(landmarks)
     em = pairs.em_mm
     if reach_mm and pairs.em_axis is None:
-        raise InputError(
-            f"reach_mm={reach_mm} needs the sensor's axis at each touch: columns em_dx,em_dy,em_dz in {path}."
-        )
+        raise InputError(f"reach_mm={reach_mm} needs the columns em_dx,em_dy,em_dz (the sensor's axis) in {landmarks}.")
     if reach_mm and pairs.em_axis is not None:
         em = touched_points(em, pairs.em_axis, reach_mm)
-    return register_landmarks(em, pairs.kidney_mm, with_scale=with_scale, ransac=ransac)
+    found = register_landmarks(em, pairs.kidney_mm, with_scale=with_scale, ransac=ransac)
+    return found if kidney is None else replace(found, model_scale=kidney.scale)
 
 
-def surface_job(path: str | Path, kidney: Kidney, *, trim: float = 0.9, max_error_mm: float = 5.0) -> Registration:
-    """``registration=surface``: `register_surface` on a file of touched points (columns x_mm,y_mm,z_mm)."""
-    found = register_surface(read_em_samples(path).position_mm, kidney.mesh, trim=trim, max_error_mm=max_error_mm)
+def surface_job(
+    landmarks: Path | None, points: Path | None, kidney: Kidney | None, *, trim: float = 0.9, max_error_mm: float = 5.0
+) -> Registration:
+    """``registration=surface``: `register_surface` on a file of touched points (columns x_mm,y_mm,z_mm).
+
+    Raises:
+        InputError, RegistrationError: as `register_surface` does; or the file or the kidney is missing.
+    """
+    points, kidney = _points_and_kidney("surface", landmarks, points, kidney)
+    found = register_surface(read_em_samples(points).position_mm, kidney.mesh, trim=trim, max_error_mm=max_error_mm)
     return replace(found, model_scale=kidney.scale)
 
 
 def centerline_job(
-    path: str | Path,
-    kidney: Kidney,
+    landmarks: Path | None,
+    points: Path | None,
+    kidney: Kidney | None,
     *,
     sensor_offset_mm: tuple[float, float, float] | None = None,
     max_error_mm: float = 5.0,
 ) -> Registration:
-    """``registration=centerline``: `register_centerline` on a file of EM samples."""
-    samples = read_em_samples(path)
+    """``registration=centerline``: `register_centerline` on a file of EM samples.
+
+    Raises:
+        InputError, RegistrationError: as `register_centerline` does; or the file or the kidney is missing.
+    """
+    points, kidney = _points_and_kidney("centerline", landmarks, points, kidney)
+    samples = read_em_samples(points)
     found = register_centerline(
         samples.position_mm,
         samples.axis,
@@ -71,18 +87,27 @@ def centerline_job(
     return replace(found, model_scale=kidney.scale)
 
 
+def _points_and_kidney(
+    choice: str, landmarks: Path | None, points: Path | None, kidney: Kidney | None
+) -> tuple[Path, Kidney]:
+    if points is None or landmarks is not None:
+        raise InputError(f"registration={choice} takes points=FILE; landmarks=FILE goes with registration=landmarks.")
+    if kidney is None:
+        raise InputError(f"registration={choice} needs the kidney: give vid=DIR, a folder from build_vid.")
+    return points, kidney
+
+
 def registration_summary(found: Registration, kidney: Kidney | None = None) -> str:
     """A few lines for people: residuals, leave-one-out error, expected error over the kidney, suspicions."""
     unit = f"mm at scale {found.model_scale:g}"
     lines = [f"{found.method}: {found.n} of {len(found.fre_mm)} used, residual {found.fre_rmse_mm:.2f} RMS ({unit})"]
     if found.tre_loo_rmse_mm is not None:
         worst = int(np.nanargmax(found.tre_loo_mm))
-        lines.append(
-            f"leave-one-out error {found.tre_loo_rmse_mm:.2f} RMS, largest {found.tre_loo_mm[worst]:.2f} at pair {worst + 1}"
-        )
+        largest = f"largest {found.tre_loo_mm[worst]:.2f} at pair {worst + 1}"
+        lines.append(f"leave-one-out error {found.tre_loo_rmse_mm:.2f} RMS, {largest} ({unit})")
     if kidney is not None:
         expected = found.tre_mm(kidney.tips_mm)
         names = ", ".join(f"{c.name} {e:.1f}" for c, e in zip(kidney.calyces, expected, strict=True))
-        lines.append(f"expected error at the calyces: {names}")
+        lines.append(f"expected error at the calyces ({unit}): {names}")
     lines += [f"{name}: {value:.3g}" for name, value in (found.report or {}).items()]
     return "\n".join(lines)

@@ -174,8 +174,8 @@ def verdict_summary(verdicts: Verdicts, scale: float) -> str:
     judged = int(verdicts.judged.sum())
     source = "reference pairs" if verdicts.from_pairs else "error budget"
     lines = [
-        f"{judged} of {len(verdicts.images)} matches judged; right by position and direction {int(verdicts.right.sum())}, "
-        f"by position alone {int(verdicts.right_by_position.sum())}",
+        f"{judged} of {len(verdicts.images)} matches judged; right by position and direction "
+        f"{int(verdicts.right.sum())}, by position alone {int(verdicts.right_by_position.sum())}",
         f"threshold of the position rule {verdicts.threshold_mm:.2f} mm at scale {scale:g}, from {source}",
     ]
     if verdicts.from_pairs:
@@ -183,7 +183,8 @@ def verdict_summary(verdicts: Verdicts, scale: float) -> str:
         lines.append(f"e_cam {' '.join(f'{x:.2f}' for x in e)}: mean {e.mean():.2f}, deviation {e.std(ddof=1):.2f} mm")
     if any(verdicts.truth):
         lines += [
-            f"{name.replace('_', ' ')}: TP {c.TP} FN {c.FN} FP {c.FP} TN {c.TN}, balanced accuracy {c.balanced_accuracy:.1%}"
+            f"{name.replace('_', ' ')}: TP {c.TP} FN {c.FN} FP {c.FP} TN {c.TN}, "
+            + (f"balanced accuracy {c.balanced_accuracy:.1%}" if c.balanced_accuracy >= 0 else "one kind only")
             for name, c in verdicts.confusions().items()
         ]
     return "\n".join(lines)
