@@ -215,6 +215,8 @@ def test_a_damaged_vid_is_refused_in_one_line(run: Any, vid: Vid, images: Path, 
 def test_a_vid_without_its_pictures_still_matches(run: Any, vid: Vid, images: Path) -> None:
     folder = images.parent / "vid"
     shutil.copytree(vid.folder, folder, ignore=shutil.ignore_patterns("images"))
+    done = run("match", f"vid={folder}", f"images={images}", "out=x.csv", "report=page")
+    assert done.code == 1 and "has no pictures" in done.err and not list(Path().iterdir())
     assert run("match", f"vid={folder}", f"images={images}", "out=x.csv").code == 0
 
 

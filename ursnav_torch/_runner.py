@@ -118,7 +118,8 @@ def _run(task: Callable[[Any], int | None], config: DictConfig) -> NoReturn:
         sys.exit(task(config) or OK)
     except KeyboardInterrupt:
         print(
-            "interrupted: what was finished lies in NAME.partial; the same command goes on from there.", file=sys.stderr
+            "interrupted: no result was replaced; the same command takes up what lies in NAME.partial, if anything.",
+            file=sys.stderr,
         )
         sys.exit(NOT_DONE)
     except MissingMandatoryValue as error:

@@ -49,6 +49,11 @@ def match_images(
     check_results(out, report, overwrite)
     page = None
     if report is not None:
+        if not localizer.vid.image_path(0).exists():
+            raise InputError(
+                f"The VID {localizer.vid.folder} has no pictures, which a report shows; copy its images/, too, or "
+                "leave report= out."
+            )
         shutil.rmtree(partial_path(report), ignore_errors=True)
         partial_path(report).mkdir(parents=True)
         page = MatchReport(partial_path(report), localizer.vid)
