@@ -70,9 +70,20 @@ class Centerline:
         return along
 
     def tangents(self, path: IntArray) -> Array:
-        """(K, 3) unit directions along a path of K >= 2 nodes from `path_to`, pointing to the tip."""
-        along = np.gradient(self.points_mm[path], axis=0)
-        return along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        """(K, 3) unit directions to the tip along a path of K >= 2 nodes from `path_to`.
+
+        Each is the chord over one radius of the lumen before and after the node: the way on, without the kinks where
+        branches meet.
+        """
+        points, radius = self.points_mm[path], self.radius_mm[path]
+        along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        reach = np.maximum(radius, 2 * along[-1] / len(path))
+        ahead, behind = (
+            np.stack([np.interp(along + side * reach, along, points[:, k]) for k in range(3)], axis=1)
+            for side in (1, -1)
+        )
+        chord = ahead - behind
+        return chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +95,7 @@ class Kidney:
         calyces: minor calyces, in order along the tree.
         centerline: from the pelvis to the tip of every calyx.
         pelvis_mm: (3,) a point in the pelvis; the root of the centerline lies there.
-        scale: 1.0 is anatomy; a kidney printed larger says so.
+        scale: how many times larger than anatomy; 1.0 is anatomy, 1.8 the thesis's printed phantom.
         source: where it came from, for people to read.
     """
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Calyx, Kidney
@@ -27,7 +27,7 @@ def build_kidney(
     scale: float,
     calyces: tuple[Calyx, ...] | None,
     pelvis_mm: Array | None,
-    superior: Array | None,
+    superior: ArrayLike | None,
 ) -> Kidney:
     """A kidney from its checked lumen; calyces and pelvis (3,) are found where they are None.
 

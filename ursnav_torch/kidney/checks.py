@@ -56,8 +56,9 @@ def check_radius(radius_mm: float, name: str, scale: float) -> None:
 
 def _solid(name: str, found: str) -> InputError:
     return InputError(
-        f"{name} {found}, which fits a whole kidney and not its lumen: a collecting system holds 3 to 30 mL "
-        "and is nowhere wider than 30 mm. Give the inner surface of pelvis and calyces; if the model was enlarged, state kidney.scale."
+        f"{name} {found}, which fits a whole kidney and not its lumen: a collecting system holds 3 to 30 mL and is "
+        "nowhere wider than 30 mm. Give the inner surface of pelvis and calyces; if the model was enlarged, bring it "
+        "back to anatomy by a kidney.scale below 1."
     )
 
 
@@ -93,7 +94,7 @@ def _one_piece(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
         listed = ", ".join(f"{s * sizes.sum() / 1000:.2f} mL" for s in large)
         raise InputError(
             f"{name} consists of {len(large)} pieces ({listed}). One connected lumen is needed: join or delete "
-            "pieces in the segmentation. A shell around another (outer organ and cavity) must be split, and the inner surface kept."
+            "pieces in the segmentation. If one is a shell around the other (organ and cavity), keep the inner one."
         )
     warnings.warn(f"{name}: {count - 1} specks of less than 1 % of the volume were dropped.", stacklevel=4)
     return pieces[int(share.argmax())]

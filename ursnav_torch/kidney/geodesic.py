@@ -37,42 +37,64 @@ def ways_to(
 
     Voxels from which the way over voxels is longer than ``limit_mm`` have none.
 
-    Theta* on the tree of shortest voxel paths (Nash et al., AAAI 2007), one generation after the other: a voxel that
-    sees the corner of the voxel before it takes that corner, else that voxel is its corner.
+    Theta* (Nash et al., AAAI 2007) in bands of equal length over voxels: every voxel takes the best corner of the
+    neighbors in the bands before if it sees it, else the best of those neighbors as its corner.
     """
     start = np.zeros(len(sources)) if start_mm is None else start_mm
-    length, towards = _voxel_paths(graph, sources, start, limit_mm)
-    corner = np.arange(len(length))
-    for voxels in _generations(towards):
-        before = towards[voxels]
-        ahead = corner[before]
-        sees = _sees(grid, grid.centers_mm[voxels], grid.centers_mm[ahead])
-        corner[voxels] = np.where(sees, ahead, before)
-        step = grid.centers_mm[voxels] - grid.centers_mm[corner[voxels]]
-        length[voxels] = length[corner[voxels]] + np.linalg.norm(step, axis=1)
+    over_voxels = _voxel_lengths(graph, sources, start, limit_mm)
+    length, corner = np.full(len(over_voxels), np.inf), np.arange(len(over_voxels))
+    reached = np.isfinite(over_voxels)
+    band = np.full(len(over_voxels), np.iinfo(np.int64).max)
+    thin = 0.99 * grid.voxel_mm  # thinner than any step, so that the way on leads to an earlier band
+    band[reached] = (over_voxels[reached] - over_voxels[reached].min()) // thin
+    length[sources] = start
+    order = np.argsort(band, kind="stable")[: reached.sum()]
+    for voxels in np.split(order, np.flatnonzero(np.diff(band[order])) + 1):
+        first, voxel, neighbor = _earlier(graph, voxels, band)
+        if len(first):
+            _turn(grid, length, corner, first, voxel, neighbor)
     return Ways(length, corner)
 
 
-def _voxel_paths(graph: csr_array, sources: IntArray, start_mm: Array, limit_mm: float) -> tuple[Array, IntArray]:
-    """Length (V,) to the sources over voxels, and the next voxel (V,) that way; negative at sources and loners."""
+def _voxel_lengths(graph: csr_array, sources: IntArray, start_mm: Array, limit_mm: float) -> Array:
+    """(V,) length to the sources over voxels."""
     count, steps = graph.shape[0], graph.tocoo()
     lead = float(np.min(start_mm)) - 1.0  # the extra node's edges must be positive
     rows = np.concatenate([steps.row, np.full(len(sources), count)])
     columns = np.concatenate([steps.col, sources])
     lengths = np.concatenate([steps.data, start_mm - lead])
     whole = csr_array((lengths, (rows, columns)), shape=(count + 1, count + 1))
-    length, towards = dijkstra(whole, indices=count, return_predecessors=True, limit=limit_mm - lead)
-    return length[:count] + lead, np.where(towards[:count] == count, -1, towards[:count])
+    return dijkstra(whole, indices=count, limit=limit_mm - lead)[:count] + lead
 
 
-def _generations(towards: IntArray) -> list[IntArray]:
-    """Nodes by their number of steps to the root, from 1 on; ``towards`` (V,) is negative at roots and loners."""
-    root = towards < 0
-    steps, ahead = np.where(root, 0, 1), np.where(root, np.arange(len(towards)), towards)
-    while steps[ahead].any():
-        steps, ahead = steps + steps[ahead], ahead[ahead]
-    order = np.argsort(steps, kind="stable")
-    return np.split(order, np.searchsorted(steps[order], np.arange(1, steps.max() + 1)))[1:]
+def _earlier(graph: csr_array, voxels: IntArray, band: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Edges (E,) from voxels to neighbors in earlier bands, by voxel, and the first edge of each voxel."""
+    count = graph.indptr[voxels + 1] - graph.indptr[voxels]
+    edge = np.arange(count.sum()) + np.repeat(graph.indptr[voxels] - np.cumsum(count) + count, count)
+    voxel, neighbor = np.repeat(voxels, count), graph.indices[edge]
+    earlier = band[neighbor] < band[voxel]
+    voxel, neighbor = voxel[earlier], neighbor[earlier]
+    return np.flatnonzero(np.append(True, np.diff(voxel) != 0)[: len(voxel)]), voxel, neighbor
+
+
+def _turn(
+    grid: LumenGrid, length: Array, corner: IntArray, first: IntArray, voxel: IntArray, neighbor: IntArray
+) -> None:
+    """Set corner and length of voxels from the edges (E,) to their neighbors; a source keeps what is shorter."""
+    centers, best = grid.centers_mm, []
+    for turn in (corner[neighbor], neighbor):
+        way = length[turn] + np.linalg.norm(centers[voxel] - centers[turn], axis=1)
+        shortest = np.minimum.reduceat(way, first)
+        per_voxel = np.diff(np.append(first, len(way)))
+        at = np.flatnonzero(way == np.repeat(shortest, per_voxel))
+        at = at[np.append(True, np.diff(voxel[at]) != 0)]
+        best.append((turn[at], shortest))
+    (far, over_far), (near, over_near) = best
+    voxels = voxel[first]
+    sees = _sees(grid, centers[voxels], centers[far])
+    turn, way = np.where(sees, far, near), np.where(sees, over_far, over_near)
+    shorter = way < length[voxels]
+    length[voxels[shorter]], corner[voxels[shorter]] = way[shorter], turn[shorter]
 
 
 def _sees(grid: LumenGrid, a_mm: Array, b_mm: Array) -> NDArray[np.bool_]:

@@ -43,7 +43,7 @@ class LumenGrid:
         inside = _fill((mesh.triangles - origin) / voxel_mm, shape)
         near = ndimage.binary_dilation(inside, iterations=2)
         wall = -ndimage.distance_transform_edt(~inside) * voxel_mm
-        exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near))
+        exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near), edge_mm=1.5 * voxel_mm)
         wall[near] = np.where(inside[near], exact, -exact)
         index = np.full(inside.shape, -1)
         index[inside] = np.arange(inside.sum())
@@ -55,13 +55,22 @@ class LumenGrid:
         return self.wall_mm[self.index >= 0]
 
     def clearance_mm(self, points_mm: ArrayLike) -> Array:
-        """(N,) distance to the wall of points (N, 3), negative outside; interpolated, good to a tenth of a voxel."""
+        """(N,) distance to the wall of points (N, 3), negative outside.
+
+        Interpolated: good to a tenth of a voxel near the wall, and up to half a voxel too small along the middle line.
+        """
         at = (np.asarray(points_mm, float).reshape(-1, 3) - self.origin_mm) / self.voxel_mm
         return ndimage.map_coordinates(self.wall_mm, at.T, order=1, mode="nearest")
 
     def nearest(self, points_mm: ArrayLike) -> IntArray:
         """(N,) number of the voxel inside whose center is nearest to each point (N, 3)."""
-        return cKDTree(self.centers_mm).query(np.asarray(points_mm, float).reshape(-1, 3))[1]
+        points = np.asarray(points_mm, float).reshape(-1, 3)
+        at = np.rint((points - self.origin_mm) / self.voxel_mm).astype(int)
+        voxel = self.index[tuple(np.clip(at, 0, np.array(self.index.shape) - 1).T)]
+        out = (voxel < 0) | np.any((at < 0) | (at >= self.index.shape), axis=1)
+        if out.any():
+            voxel[out] = cKDTree(self.centers_mm).query(points[out])[1]
+        return voxel
 
     def graph(self) -> csr_array:
         """(V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors."""
@@ -79,11 +88,13 @@ class LumenGrid:
         return (half + half.T).tocsr()
 
 
-def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike) -> Array:
-    """(N,) unsigned distance in mm of points (N, 3) to a mesh: exact on the few triangles that can be nearest."""
+def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike, edge_mm: float) -> Array:
+    """(N,) unsigned distance in mm of points (N, 3) to a mesh.
+
+    Exact to the few triangles next to a point once the mesh is divided into edges of at most ``edge_mm``.
+    """
     points = np.asarray(points_mm, float).reshape(-1, 3)
-    edge = 3.0 * float(np.median(mesh.edges_unique_length))
-    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=edge, max_iter=30)
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=edge_mm, max_iter=30)
     triangles = vertices[faces]
     candidates = cKDTree(triangles.mean(axis=1)).query(points, k=min(6, len(faces)))[1].reshape(len(points), -1)
     best = np.full(len(points), np.inf)

@@ -1,13 +1,13 @@
 """``kidney=mesh``: the collecting system from a surface file."""
 
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.kidney.anatomy import Calyx, Kidney
+from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.tables import read_calyces
@@ -27,28 +27,39 @@ def load_mesh_kidney(
         path: the mesh.
         calyces: CSV `calyx,x_mm,y_mm,z_mm` with the tip of each minor calyx in the file's own coordinates, and
             perhaps a row `pelvis`; None finds and names them.
-        scale: everything is multiplied by it; the kidney frame is the scaled one.
+        scale: everything is multiplied by it; the kidney frame is the scaled one. Beyond what turns the file's
+            unit into mm it is the kidney's ``scale`` (see `enlargement`).
         superior: direction (3,) towards the head, kidney frame; names the poles.
 
     Raises:
         InputError: the files cannot be read or are not what they should be (see `check_lumen`).
     """
-    if not np.isfinite(scale) or scale <= 0:
-        raise InputError(f"kidney.scale must be a positive number, got {scale}.")
+    larger = enlargement(scale)
     mesh = read_mesh(path)
     mesh.apply_scale(scale)
     name = Path(path).name
-    mesh = check_lumen(mesh, name, scale)
+    mesh = check_lumen(mesh, name, larger)
     given, pelvis = read_calyces(calyces) if calyces is not None else (None, None)
     if given is not None:
-        given = tuple(Calyx(c.name, c.tip_mm * scale, c.pole) for c in given)
-    return build_kidney(
-        mesh,
-        name,
-        scale,
-        given,
-        None if pelvis is None else pelvis * scale,
-        None if superior is None else np.asarray(superior, float),
+        given = tuple(replace(c, tip_mm=c.tip_mm * scale) for c in given)
+    return build_kidney(mesh, name, larger, given, None if pelvis is None else pelvis * scale, superior)
+
+
+def enlargement(scale: float) -> float:
+    """How many times larger than anatomy a kidney is whose file was multiplied by ``scale``.
+
+    A factor of 10 or 1000 in it only turns centimeters or meters into mm, and one below 1 brings an enlarged model
+    back to anatomy: 1.8 -> 1.8, 1000 -> 1, 1800 -> 1.8, 0.5556 -> 1.
+
+    Raises:
+        InputError: the factor is none of these.
+    """
+    for unit in (1.0, 10.0, 1000.0):
+        if 0.1 <= scale / unit <= 5.0:
+            return max(scale / unit, 1.0)
+    raise InputError(
+        f"kidney.scale is {scale}; accepted are 0.1 to 5 for a file in mm, and 10 or 1000 times that for one in "
+        "centimeters or meters."
     )
 
 

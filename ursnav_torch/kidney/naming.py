@@ -45,7 +45,7 @@ def with_poles(calyces: tuple[Calyx, ...], superior: ArrayLike) -> tuple[Calyx, 
     """
     up = np.asarray(superior, float)
     if up.shape != (3,) or not np.all(np.isfinite(up)) or not np.any(up):
-        raise InputError(f"kidney.superior must be a direction [x, y, z] in the kidney frame, got {superior}.")
+        raise InputError(f"kidney.superior must be a direction [x, y, z] in the kidney frame, got {superior!r}.")
     height = np.array([c.tip_mm for c in calyces]) @ up
     low, third = height.min(), np.ptp(height) / 3
     poles = ["lower" if h < low + third else "upper" if h > low + 2 * third else "mid" for h in height]

@@ -36,7 +36,7 @@ _APART_MM = 5.0
 #: What ends nearer to the middle of the pelvis, or within this share of the median way, is a corner of the pelvis.
 _PELVIS_MM, _PELVIS_SHARE = 15.0, 0.6
 #: The floor of a cup: what lies within this of its end, or to the side stands out by this share of what the end does.
-_FLOOR_MM, _FLOOR_SHARE = 2.0, 0.4
+_FLOOR_MM, _FLOOR_SHARE = 2.0, 0.5
 #: A tip lies at least this far from the wall.
 _CLEARANCE_MM = 0.7
 
@@ -51,7 +51,8 @@ def find_tips(grid: LumenGrid, pelvis_mm: ArrayLike, scale: float) -> Array:
     way = ways_to(grid, graph, np.array([root])).length_mm
     way[~np.isfinite(way)] = -1.0
     taken = way <= min(_PELVIS_MM * scale, _PELVIS_SHARE * _usual(way, graph, scale))
-    ends, tips = [], []
+    ends: list[int] = []
+    tips: list[Array] = []
     for end in _ends(grid, graph, root, way, scale):
         cup = _cup(grid, graph, end.voxel, scale)
         floor = _side_floor(grid, graph, end, scale) if end.aside else cup & (end.field >= end.level)

@@ -41,10 +41,12 @@ def grow_tree(grid: LumenGrid, pelvis_mm: ArrayLike, tips_mm: ArrayLike) -> Cent
     seeds = grid.nearest(tips)
     parent, voxel, calyx = _join(root, seeds, towards)
     points = grid.centers_mm[voxel]
-    points = np.concatenate([points, tips])
-    ends = np.array([voxel.tolist().index(s) for s in seeds], dtype=int)
-    parent = np.concatenate([parent, ends])
-    calyx = np.concatenate([calyx, np.arange(len(tips))])
+    for c, (tip, seed) in enumerate(zip(tips, seeds, strict=True)):
+        end = int(np.flatnonzero(voxel == seed)[0])
+        if end > 0 and calyx[end] == c and not np.any(parent == end):
+            points[end] = tip
+        else:  # the way to another tip passes here
+            points, parent, calyx = np.vstack([points, tip]), np.append(parent, end), np.append(calyx, c)
     points = _smooth(grid, points, parent)
     return Centerline(points, np.maximum(grid.clearance_mm(points), 0.0), parent, calyx)
 

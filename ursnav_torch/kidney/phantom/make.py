@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Kidney
@@ -23,6 +24,8 @@ _SHARES = (0.1, 0.22, 0.28, 0.16, 0.1, 0.06, 0.04, 0.02, 0.02)
 _GAP_MM = 0.7
 #: A tip is the deepest place at least this far from the wall, mm.
 _TIP_CLEARANCE_MM = 0.75
+#: Tips nearer than this would be one calyx.
+_TIPS_APART_MM = 5.0
 _VOXEL_MM = 0.5
 _PLANS, _MESHES = 2000, 10
 
@@ -53,7 +56,9 @@ def make_phantom_kidney(seed: int = 0, calyces: int | None = None, scale: float 
         plan = _apart(rng, count)
         mesh = plan_surface(plan, rng)
         if mesh.is_watertight and mesh.euler_number == 2:
-            return _labeled(mesh, plan.cups, f"phantom, seed {seed}").scaled(scale)
+            kidney = _labeled(mesh, plan.cups, f"phantom, seed {seed}")
+            if pdist(kidney.tips_mm).min() > _TIPS_APART_MM:
+                return kidney.scaled(scale)
     raise InputError(f"Seed {seed} gives no lumen with {count} calyces that keep apart; take another seed.")
 
 

@@ -117,7 +117,7 @@ class Plan:
         return (self.ureter, *self.majors, *self.minors)
 
     def gap_mm(self) -> float:
-        """The smallest gap between a cup and any other cup, foreign infundibulum, or the pelvis; negative if they meet."""
+        """The smallest gap between a cup and another cup, a foreign tube, or the pelvis; negative if they meet."""
         middle = np.array([c.base_mm + 0.6 * c.depth_mm * c.axes[2] for c in self.cups])
         radius = np.array([c.radii_mm.max() for c in self.cups])
         between = np.linalg.norm(middle[:, None] - middle, axis=-1) - radius[:, None] - radius

@@ -121,7 +121,7 @@ def _add_cup(field: Field, cup: Cup) -> None:
 
 
 def _bowl(across: Array, along: Array, neck: float, wide: float, depth: float) -> Array:
-    """Distance-like values of a bowl, ``neck`` wide at 0 and ``wide`` from 0.6 of its depth on, its rim rounded by 0.8."""
+    """Distance-like values of a bowl: ``neck`` wide at 0, ``wide`` from 0.6 of its depth on, its rim rounded."""
     rim = 0.8
     opening = neck + (wide - neck) * np.clip(along / (0.6 * depth), 0, 1) ** 0.8
     outside = np.stack([across - (opening - rim), along - (depth - rim), -along - rim], axis=-1)

@@ -1,0 +1,24 @@
+import inspect
+from pathlib import Path
+
+import pytest
+from hydra.utils import get_method, instantiate
+from omegaconf import OmegaConf
+
+from ursnav_torch.kidney import Kidney
+
+CONFIGS = Path(__file__).parents[2] / "configs" / "kidney"
+
+
+@pytest.mark.parametrize("name", ["mesh", "phantom"])
+def test_knobs_and_defaults_are_those_of_the_function(name: str) -> None:
+    config = OmegaConf.load(CONFIGS / f"{name}.yaml")
+    function = inspect.signature(get_method(config._target_))
+    for key in set(config) - {"_target_"}:
+        default = function.parameters[str(key)].default
+        assert OmegaConf.is_missing(config, key) if default is inspect.Parameter.empty else config[key] == default
+
+
+def test_a_phantom_comes_from_its_config(phantom: Kidney) -> None:
+    kidney = instantiate(OmegaConf.load(CONFIGS / "phantom.yaml"), calyces=6)
+    assert kidney.source == phantom.source and len(kidney.calyces) == len(phantom.calyces)

@@ -1,0 +1,95 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.kidney import Kidney, load_mesh_kidney, write_calyces
+from ursnav_torch.kidney.mesh import enlargement, read_mesh
+
+
+@pytest.fixture(scope="module")
+def files(phantom: Kidney, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """lumen.* of the phantom in all formats, and its calyces.csv with a row `pelvis`."""
+    folder = tmp_path_factory.mktemp("kidney, with ümlaut=1 [a]")
+    for name in ("lumen.stl", "lumen.ply", "lumen.obj", "lumen.glb"):
+        phantom.mesh.export(folder / name)
+    (folder / "ASCII.STL").write_text(trimesh.exchange.stl.export_stl_ascii(phantom.mesh))
+    write_calyces(folder / "calyces.csv", phantom.calyces, phantom.pelvis_mm)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["lumen.stl", "lumen.ply", "lumen.obj", "lumen.glb", "ASCII.STL"])
+def test_every_format_gives_the_same_lumen(files: Path, phantom: Kidney, name: str) -> None:
+    mesh = read_mesh(files / name)
+    mesh.merge_vertices()
+    assert len(mesh.vertices) == len(phantom.mesh.vertices)
+    assert mesh.volume == pytest.approx(phantom.mesh.volume, rel=1e-4)
+    np.testing.assert_allclose(mesh.bounds, phantom.mesh.bounds, atol=1e-3)
+
+
+def test_given_calyces_keep_names_places_and_poles(files: Path, phantom: Kidney) -> None:
+    kidney = load_mesh_kidney(files / "lumen.stl", files / "calyces.csv")
+    assert [(c.name, c.pole) for c in kidney.calyces] == [(c.name, c.pole) for c in phantom.calyces]
+    np.testing.assert_allclose(kidney.tips_mm, phantom.tips_mm, atol=1e-3)
+    assert kidney.mesh.is_watertight and kidney.scale == 1.0
+    assert np.linalg.norm(kidney.pelvis_mm - phantom.pelvis_mm) < 2
+
+
+def test_calyces_are_found_named_and_told_their_pole(files: Path, phantom: Kidney) -> None:
+    kidney = load_mesh_kidney(files / "lumen.stl", superior=[0, 0, 1])
+    assert [c.name for c in kidney.calyces][:3] == ["A", "B", "C"]
+    assert {c.pole for c in kidney.calyces} >= {"upper", "lower"}
+    assert len(phantom.calyces) <= len(kidney.calyces) <= len(phantom.calyces) + 2
+
+
+def test_scale_enlarges_mesh_and_given_calyces(files: Path, phantom: Kidney) -> None:
+    kidney = load_mesh_kidney(files / "lumen.stl", files / "calyces.csv", scale=1.8)
+    np.testing.assert_allclose(kidney.tips_mm, 1.8 * phantom.tips_mm, atol=2e-3)
+    assert kidney.mesh.volume == pytest.approx(1.8**3 * phantom.mesh.volume, rel=1e-3)
+    assert kidney.scale == 1.8
+
+
+def test_meters_become_mm_by_a_scale_that_is_no_enlargement(phantom: Kidney, files: Path, tmp_path: Path) -> None:
+    phantom.scaled(0.001).mesh.export(tmp_path / "m.ply")
+    with pytest.raises(InputError, match=r"seems to be in meters: set kidney.scale=1000"):
+        load_mesh_kidney(tmp_path / "m.ply")
+    kidney = load_mesh_kidney(tmp_path / "m.ply", scale=1000)
+    assert kidney.scale == 1.0
+    assert kidney.mesh.volume == pytest.approx(phantom.mesh.volume, rel=1e-3)
+
+
+@pytest.mark.parametrize(("scale", "larger"), [(1, 1), (1.8, 1.8), (10, 1), (1000, 1), (1800, 1.8), (1 / 1.8, 1)])
+def test_enlargement_is_what_a_unit_does_not_explain(scale: float, larger: float) -> None:
+    assert enlargement(scale) == pytest.approx(larger)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), 70.0])
+def test_other_scales_are_refused(scale: float) -> None:
+    with pytest.raises(InputError, match=r"kidney\.scale is"):
+        enlargement(scale)
+
+
+def test_unreadable_files_are_refused(files: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="There is no mesh file"):
+        read_mesh(tmp_path / "none.stl")
+    with pytest.raises(InputError, match="There is no mesh file"):
+        read_mesh(tmp_path)
+    (tmp_path / "empty.stl").touch()
+    with pytest.raises(InputError, match="is empty"):
+        read_mesh(tmp_path / "empty.stl")
+    (tmp_path / "kidney.step").write_text("x")
+    with pytest.raises(InputError, match=r"accepted: .stl, .ply, .obj, .glb"):
+        read_mesh(tmp_path / "kidney.step")
+    for name in ("lumen.stl", "lumen.ply", "lumen.glb"):
+        half = (files / name).read_bytes()[:5000]
+        (tmp_path / name).write_bytes(half)
+        with pytest.raises(InputError, match=r"cannot be read as|has no usable triangles|is not closed"):
+            load_mesh_kidney(tmp_path / name)
+
+
+def test_points_in_another_frame_are_refused(files: Path, phantom: Kidney, tmp_path: Path) -> None:
+    write_calyces(tmp_path / "c.csv", phantom.scaled(3.0).calyces)
+    with pytest.raises(InputError, match=r"A at \[.*\] lies .* mm outside the lumen of lumen.stl"):
+        load_mesh_kidney(files / "lumen.stl", tmp_path / "c.csv")
