@@ -192,7 +192,7 @@ def divide_wall(kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings
     cell = np.column_stack([np.floor(centers / side), np.abs(normals).argmax(1), normals.max(1) > 1e-9])
     of_face: IntArray = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel().astype(np.int64)
     area = np.where(fine, mesh.area_faces, 0.0)
-    total = np.bincount(of_face, area)
+    total = np.bincount(of_face, area).astype(float)
 
     def mean(values: Array) -> Array:
         return np.stack([np.bincount(of_face, area * values[:, i]) for i in range(3)], 1) / np.maximum(

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import Features
+from ursnav_torch.geometry import inverse, rotation_angle
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings
-from ursnav_torch.localization.refine import RefinementSettings, Refiner
+from ursnav_torch.localization.refine import Refined, RefinementSettings, Refiner
 from ursnav_torch.localization.smooth import PoseFilter, SmoothSettings
 from ursnav_torch.localization.track_search import PlaceSearch, SensorReading, TrackSettings, place
 from ursnav_torch.matching import one_thread_an_operation
@@ -49,6 +50,19 @@ class Tracked:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Lead:
+    """A track: its refined pose in the last picture and in the one before."""
+
+    refined: Refined
+    before: Refined | None = None
+
+    def ahead(self) -> list[Array]:
+        """Where the next pose may be: as far on as the last step led, or here."""
+        here = self.refined.T_kidney_camera
+        return [here] if self.before is None else [here @ inverse(self.before.T_kidney_camera) @ here, here]
+
+
 class Tracker:
     """Follows the scope in one kidney, picture by picture.
 
@@ -76,7 +90,7 @@ class Tracker:
             )
         self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
         self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
-        self._refiner = Refiner(vid, refinement or RefinementSettings(rounds=2, iterations=4), self.lumen)
+        self._refiner = Refiner(vid, refinement or RefinementSettings(iterations=6, fine_rounds=1), self.lumen)
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
         self._extractor = vid.extractor()
         self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
@@ -89,7 +103,9 @@ class Tracker:
         self._at_s: float | None = None
         self._seen_s, self._trust, self._state = 0.0, 0.0, SEARCHING
         self._light: Array | None = None
-        self._last: Array | None = None
+        self._own: _Lead | None = None
+        self._rival: _Lead | None = None
+        self._doubt = 0.0
 
     def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
         """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
@@ -107,44 +123,72 @@ class Tracker:
 
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
-        passed = self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
+        s, passed = self.settings, self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         found, fit = self._search.weigh(features, self._before, passed, sensor)
-        T, share = place(found, self.settings, self.vid.kidney.scale)
-        candidates = [T, found.T_kidney_camera[found.weight.argmax()]]
-        candidates[1:1] = [] if self._last is None else [self._last]
-        refined = self._refiner.refine(features, candidates, self._light)
-        self._remember(found, share, refined.T_kidney_camera, t_s)
-        self._judge(fit, refined.score, share, passed)
-        if refined.score > self.settings.well_aligned:
+        T, _ = place(found, s, self.vid.kidney.scale)
+        refined = self._decide(features, T, found.T_kidney_camera[found.weight.argmax()])
+        if refined.score > s.well_aligned:
             self._light = refined.light if self._light is None else 0.8 * self._light + 0.2 * refined.light
+        self._remember(found, refined.T_kidney_camera, t_s)
+        self._judge(fit, refined.score, passed)
         if self._state != TRACKING:
             self._smooth.reset()
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
-        confidence = float(found.weight[agree].sum()) / (1 + np.exp(-self._trust))
+        confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._trust))
         return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
 
-    def _remember(self, found: Hypotheses, share: float, T: Array, t_s: float) -> None:
-        """Keep the hypotheses, and the refined pose as one of them with half of its place's share."""
-        weight = np.append((1 - share / 2) * found.weight, share / 2)
-        to_tips = np.concatenate([found.to_tips_mm, self.lumen.to_calyces(T[None, :3, 3])])
-        self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
-        self._last, self._at_s, self._seen_s = T, t_s, t_s
+    def _decide(self, features: Features, T: Array, best: Array) -> Refined:
+        """Follow the track at hand; where the filter holds another place more probable, follow that beside it, and go
+        over to it once it has been the better aligned of the two for some pictures."""
+        s = self.settings
+        if self._own is None:
+            self._own = _Lead(self._aligned(features, [T, best]))
+            return self._own.refined
+        agrees = self._near(T, self._own.refined.T_kidney_camera)
+        self._own = _Lead(self._aligned(features, [*self._own.ahead(), *([T] if agrees else [])]), self._own.refined)
+        if agrees or self._near(T, self._own.refined.T_kidney_camera):
+            self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
+            return self._own.refined
+        before = self._rival
+        if before is not None and self._near(T, before.refined.T_kidney_camera):
+            self._rival = _Lead(self._aligned(features, [before.refined.T_kidney_camera, T]), before.refined)
+        else:
+            self._rival, self._doubt = _Lead(self._aligned(features, [T, best])), 0.0
+        gain = (self._rival.refined.score - self._own.refined.score) / s.better_by
+        self._doubt = max(self._doubt + float(np.clip(gain, -1.0, 1.0)), 0.0)
+        if self._doubt >= (s.convinced if self._state == TRACKING else 1.0):
+            self._own, self._rival, self._doubt = self._rival, None, 0.0
+        return self._own.refined
 
-    def _judge(self, fit: float, score: float, share: float, seconds: float) -> None:
-        """Weigh whether this is the VID's kidney and one place leads: a sequential test with bounds (Wald 1945)."""
+    def _aligned(self, features: Features, candidates: list[Array]) -> Refined:
+        return self._refiner.refine(features, candidates, self._light)
+
+    def _near(self, T_a: Array, T_b: Array) -> bool:
+        """Whether two poses are one place."""
+        s, apart = self.settings, float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
+        return apart <= s.near_mm * self.vid.kidney.scale and float(rotation_angle(T_a, T_b)) <= np.radians(s.near_deg)
+
+    def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
+        """Keep the hypotheses, and the track's pose as one of them."""
+        own = self.settings.own_share * (1 - min(self._doubt / self.settings.convinced, 1.0))
+        to_tips = np.concatenate([found.to_tips_mm, self.lumen.to_calyces(T[None, :3, 3])])
+        weight = np.append((1 - own) * found.weight, own)
+        self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
+        self._at_s, self._seen_s = t_s, t_s
+
+    def _judge(self, fit: float, score: float, seconds: float) -> None:
+        """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945)."""
         s = self.settings
         odds = s.own_kidney[0] + s.own_kidney[1] * fit + s.own_kidney[2] * score
         gain = float(np.clip(odds, -s.most, s.most)) * min(seconds, 4 * s.usual_s) / s.usual_s
         self._trust = float(np.clip(self._trust + gain, -s.bound, s.bound))
         if self._trust <= -s.give_up:
             self._state = LOST
-        elif self._trust >= s.believe and share >= s.sure:
+        elif self._trust >= s.believe:
             self._state = TRACKING
-        elif self._state == TRACKING and share < s.sure / 2:
-            self._state = SEARCHING
 
     def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
         """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""

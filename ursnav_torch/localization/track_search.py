@@ -30,7 +30,9 @@ class TrackSettings:
         hypotheses: poses kept from picture to picture.
         newcomers: of these, poses that fit best wherever they are.
         near_mm, near_deg: hypotheses within this of the best are one place; their mean is the pose.
-        sure: share of the probability that one place needs to lead; below half of it, it leads no more.
+        own_share: probability of the track's own pose beside the views'.
+        better_by: another place whose alignment scores better by this is preferred a full step.
+        convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
         own_kidney: intercept and weights of the fit and of the alignment's score in the log-odds that a picture shows
@@ -50,7 +52,9 @@ class TrackSettings:
     newcomers: int = 12
     near_mm: float = 3.0
     near_deg: float = 25.0
-    sure: float = 0.5
+    own_share: float = 0.5
+    better_by: float = 0.1
+    convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
     own_kidney: tuple[float, float, float] = (-8.0, 2.5, 9.0)
@@ -61,10 +65,10 @@ class TrackSettings:
     well_aligned: float = 0.5
 
     def __post_init__(self) -> None:
-        if not 0 < self.newcomers < self.hypotheses or self.fit_width <= 0 or not 0 < self.sure < 1:
+        if not 0 < self.newcomers < self.hypotheses or self.fit_width <= 0:
             raise InputError(
-                "Tracking needs 0 < newcomers < hypotheses, fit_width > 0 and 0 < sure < 1, got "
-                f"{self.newcomers}, {self.hypotheses}, {self.fit_width} and {self.sure}."
+                "Tracking needs 0 < newcomers < hypotheses and fit_width > 0, got "
+                f"{self.newcomers}, {self.hypotheses} and {self.fit_width}."
             )
 
 

@@ -1,5 +1,6 @@
 """A whole video, folder or stream of pictures tracked: pictures with their times in, rows and coverage out."""
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -77,6 +78,29 @@ def open_source(path: Path, fps: float = 10.0) -> Source:
         capture.release()
     rate = rate if np.isfinite(rate) and 0 < rate < 1000 else fps
     return Source(lambda: _video(path, rate), max(count, 0), str(path))
+
+
+def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | None) -> Source:
+    """Pictures as a camera gives them, until some seconds have passed or it is interrupted (Ctrl-C).
+
+    Args:
+        read: waits for the next picture; None when the camera is at its end.
+        seconds: how long; None for ever.
+    """
+
+    def moments() -> Iterator[Moment]:
+        start, number = time.monotonic(), 0
+        try:
+            while (image := read()) is not None:
+                t_s = time.monotonic() - start
+                if seconds is not None and t_s > seconds:
+                    return
+                yield Moment(number, t_s, image, str(number))
+                number += 1
+        except KeyboardInterrupt:
+            return
+
+    return Source(moments, 0, "the camera")
 
 
 def track_rows(

@@ -1,0 +1,235 @@
+"""Tracking over whole explorations: accuracy, losses, coverage, speed and memory.
+
+    python -m benchmarks.tracking                          # simulated explorations of phantoms
+    python -m benchmarks.tracking data=DIR                 # and the videos of the kidneys in DIR
+    python -m benchmarks.tracking data=DIR vids=DIR        # VIDs built before, DIR/KIDNEY (else built each time)
+    python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
+
+A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``, a
+``_truth.csv`` and an ``_em.csv``. Every video is also tracked in the next kidney's VID, where it must end lost.
+"""
+
+import csv
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks._results import Report, overrides
+from ursnav_torch.camera import equidistant_camera, load_camera
+from ursnav_torch.features import DefaultSettings
+from ursnav_torch.geometry import look_along, rotation_angle, transform_from_quaternion
+from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney, make_phantom_kidney, observed_calyx
+from ursnav_torch.localization.coverage import Coverage
+from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
+from ursnav_torch.localization.track_search import SensorReading
+from ursnav_torch.localization.track_video import Moment, open_source
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
+from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+
+SETTINGS = {"data": "", "vids": "", "phantoms": 2, "views_per_calyx": 240, "pictures": 0, "out": ""}
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Exploration:
+    """Pictures with their true poses (N, 4, 4) and calyces (N, blank for none); ``sensor`` (N) readings or None."""
+
+    name: str
+    moments: Callable[[], Iterator[Moment]]
+    T_kidney_camera: Array
+    calyx: list[str]
+    sensor: list[SensorReading] | None = None
+
+
+def main(arguments: list[str]) -> None:
+    """Track everything, print and keep the figures."""
+    settings = overrides(SETTINGS, arguments)
+    report = Report("tracking", settings)
+    with tempfile.TemporaryDirectory() as folder:
+        cases = [_phantom(seed, settings, Path(folder)) for seed in range(settings["phantoms"])]
+        _judge_all(report, cases)
+        data = Path(settings["data"]) if settings["data"] else None
+        if data is None:
+            report.skip("videos", "data= names no folder of kidneys")
+        else:
+            names = sorted(p.parent.name for p in data.glob("*/video.mp4"))
+            cases = [_kidney(data / name, settings, Path(folder)) for name in names]
+            _judge_all(report, cases)
+        if settings["pictures"]:
+            _memory(report, *cases[0], settings["pictures"])
+    print(report.table())
+    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+
+
+def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]]) -> None:
+    for vid, explorations in cases:
+        for exploration in explorations:
+            _judge(report, vid, exploration)
+    for (vid, _), (_, others) in zip(cases, cases[1:] + cases[:1], strict=True):
+        if len(cases) > 1:
+            _judge_other(report, vid, others[0])
+
+
+def _judge(report: Report, vid: Vid, exploration: Exploration) -> None:
+    """The bars: calyx, position, losses, coverage, speed."""
+    group, T = exploration.name, exploration.T_kidney_camera
+    tracker = Tracker(vid)
+    coverage, truth = (Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::4]) for _ in range(2))
+    answers: list[Tracked] = []
+    for moment in exploration.moments():
+        sensor = exploration.sensor[moment.frame] if exploration.sensor else None
+        answers.append(tracker.step(moment.image, moment.t_s, sensor))
+        last = answers[-1]
+        truth.add(T[moment.frame], 0.1)
+        if last.T_kidney_camera is not None and np.isfinite(last.score):
+            coverage.add(last.T_kidney_camera, 0.1)
+    on = np.array([a.state == TRACKING for a in answers])
+    poses = np.array([a.T_kidney_camera if a.T_kidney_camera is not None else np.eye(4) for a in answers])
+    apart = np.linalg.norm(poses[:, :3, 3] - T[: len(on), :3, 3], axis=1)
+    turned = np.degrees(rotation_angle(poses, T[: len(on)]))
+    labeled = [i for i, name in enumerate(exploration.calyx[: len(on)]) if name]
+    right = [vid.calyx_name(answers[i].calyx) == exploration.calyx[i] for i in labeled]
+    report.add(group, "right calyx, of pictures that have one", "%", [100 * float(np.mean(right))], n=len(right))
+    report.add(group, "position", "mm", apart[on].tolist())
+    report.add(group, "position, 90th percentile", "mm", [float(np.percentile(apart[on], 90))], n=int(on.sum()))
+    report.add(group, "rotation", "deg", turned[on].tolist())
+    report.add(group, "not tracking", "%", [100 * float(1 - on.mean())], n=len(on))
+    report.add(group, "tracking, yet more than 5 mm off", "%", [100 * float((apart[on] > 5).mean())], n=int(on.sum()))
+    report.add(group, "longest time astray", "s", [_longest(~on | (apart > 5)) / 10])
+    pairs = list(zip(coverage.calyces(), truth.calyces(), strict=True))
+    same = sum(ours.verdict == theirs.verdict for ours, theirs in pairs)
+    wrong = [f"{o.calyx} {o.verdict}, truly {t.verdict}" for o, t in pairs if o.verdict != t.verdict]
+    report.add(group, "coverage verdicts right", "of " + str(len(pairs)), [float(same)], "; ".join(wrong), n=len(pairs))
+    times = [1e3 * a.seconds for a in answers]
+    report.add(group, "time a picture", "ms", times)
+    report.add(group, "time a picture, 95th percentile", "ms", [float(np.percentile(times, 95))], n=len(times))
+
+
+def _judge_other(report: Report, vid: Vid, exploration: Exploration) -> None:
+    """Pictures of another kidney: how much is believed, and how it ends."""
+    tracker = Tracker(vid)
+    states = [tracker.step(m.image, m.t_s).state for m in exploration.moments()]
+    group = f"{exploration.name} in another kidney's VID"
+    report.add(group, "tracking", "%", [100 * states.count(TRACKING) / len(states)], f"ends {states[-1]}", len(states))
+
+
+def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures: int) -> None:
+    """Resident memory while one exploration is tracked again and again."""
+    tracker, used, count = Tracker(vid), list[float](), 0
+    while count < pictures:
+        for moment in explorations[0].moments():
+            tracker.step(moment.image, count / 10)
+            count += 1
+            if count % 100 == 0:
+                used.append(_resident_mb())
+    third = len(used) // 3
+    growth = float(np.median(used[-third:]) - np.median(used[third:-third]))
+    report.add("memory", f"over {count} pictures", "MB", used)
+    report.add("memory", "last third less the middle one", "MB", [growth])
+
+
+def _kidney(folder: Path, settings: dict[str, Any], work: Path) -> tuple[Vid, list[Exploration]]:
+    """A kidney's VID and its videos, without and with EM."""
+    built = Path(settings["vids"]) / folder.name if settings["vids"] else work / folder.name
+    if not built.exists():
+        kidney = load_mesh_kidney(folder / "lumen.stl", folder / "calyces.csv")
+        plan = PlanSettings(settings["views_per_calyx"], settings["views_per_calyx"])
+        build_vid(
+            kidney, load_camera(folder / "camera.json"), DefaultSettings(), RaycastRenderer, plan, built, workers=1
+        )
+    explorations = []
+    for what in ("video", "partial"):
+        if not (folder / f"{what}.mp4").is_file():
+            continue
+        T, calyx = _truth(folder / f"{what}_truth.csv")
+        source = open_source(folder / f"{what}.mp4")
+        plain = Exploration(f"{folder.name} {what}", source.moments, T, calyx)
+        explorations.append(plain)
+        if (folder / f"{what}_em.csv").is_file() and (folder / f"{what}.json").is_file():
+            sensor = _sensor(folder / f"{what}_em.csv", folder / f"{what}.json")
+            explorations.append(replace(plain, name=plain.name + " with EM", sensor=sensor))
+    return load_vid(built), explorations
+
+
+def _truth(path: Path) -> tuple[Array, list[str]]:
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    place = np.array([[float(r[c]) for c in ("x_mm", "y_mm", "z_mm")] for r in rows])
+    turn = np.array([[float(r[c]) for c in ("qx", "qy", "qz", "qw")] for r in rows])
+    return transform_from_quaternion(place, turn), [r["calyx"] for r in rows]
+
+
+def _sensor(em: Path, description: Path) -> list[SensorReading]:
+    about = json.loads(description.read_text())
+    R, t = np.array(about["kidney_from_em"]["R"]), np.array(about["kidney_from_em"]["t"])
+    offset, sigma = np.array(about["sensor_offset_camera_mm"]), float(np.hypot(about["em_rms_mm"], 0.8) / np.sqrt(3))
+    with em.open() as file:
+        readings = [[float(r[c]) for c in ("x_mm", "y_mm", "z_mm")] for r in csv.DictReader(file)]
+    return [SensorReading(R @ np.array(p) + t, offset, sigma) for p in readings]
+
+
+def _phantom(seed: int, settings: dict[str, Any], work: Path) -> tuple[Vid, list[Exploration]]:
+    """A phantom's VID, and a simulated flight in and out of its calyces, of half of them, blurred and dimmed."""
+    kidney, lens = make_phantom_kidney(seed, calyces=6), equidistant_camera(160.0, 250, 250)
+    plan = PlanSettings(settings["views_per_calyx"], settings["views_per_calyx"])
+    folder = Path(settings["vids"] or work) / f"phantom_{seed}"
+    if not folder.exists():
+        build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
+    vid = load_vid(folder)
+    lumen, renderer = LumenDistance.from_kidney(vid.kidney), RaycastRenderer(vid.kidney.mesh, lens)
+    preset = ("simulation", "phantom")[seed % 2]
+    T = fly(vid.kidney, range(0, 6, 2), np.random.default_rng(seed))
+    found = observed_calyx(T, vid.kidney, lumen)
+
+    def moments() -> Iterator[Moment]:
+        rng = np.random.default_rng(seed)
+        faults = draw_faults(PRESETS[preset], rng)
+        for i, pose in enumerate(T):
+            image = simulate(renderer, pose, faults, rng)
+            yield Moment(i, i / 10, np.full_like(image, 250) if i % 37 == 36 else image, str(i))
+
+    name = f"phantom {seed}, half of it, as {preset}"
+    return vid, [Exploration(name, moments, T, [vid.calyx_name(c) for c in found])]
+
+
+def fly(kidney: Kidney, calyces: range, rng: np.random.Generator, step_mm: float = 0.6) -> Array:
+    """Poses (N, 4, 4) of a flight along the centerline into calyces and back, looking ahead, with a hand's tremor."""
+    poses, roll = [], 0.0
+    for calyx in calyces:
+        points = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)]
+        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        stations = np.arange(0.0, along[-1] - 4.0, step_mm)
+        for s in [*stations, *stations[::-1]]:
+            at, ahead = (np.array([np.interp(s + d, along, points[:, i]) for i in range(3)]) for d in (0.0, 4.0))
+            roll += float(rng.normal(0, 0.02))
+            sway = rng.normal(0, 0.03, 3) * np.linalg.norm(ahead - at)
+            poses.append(look_along(at + rng.normal(0, 0.05, 3), ahead - at + sway, roll))
+    return np.array(poses)
+
+
+def _longest(flags: NDArray[np.bool_]) -> int:
+    """Length of the longest run of true flags."""
+    longest = run = 0
+    for flag in flags:
+        run = run + 1 if flag else 0
+        longest = max(longest, run)
+    return longest
+
+
+def _resident_mb() -> float:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1e3
+    return 0.0
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,35 @@
+"""Follow the scope through a video: one row a picture, and which calyces were seen."""
+
+from typing import Any
+
+from ursnav_torch._runner import OK, caller_path, progress, runner
+
+
+@runner("track", paths=("source", "em", "em_to_kidney"))
+def main(config: Any) -> int:
+    """Instantiate the choices and call `viewer.track_source`."""
+    from hydra.utils import instantiate
+
+    from ursnav_torch.localization.track import Tracker
+    from ursnav_torch.localization.track_video import open_source
+    from ursnav_torch.vid import load_vid
+    from ursnav_torch.viewer.tracked import camera_source, read_sensor, track_source
+
+    vid = load_vid(caller_path(config.vid))
+    if config.camera:
+        vid.check_lens(instantiate(config.camera))
+    tracker = Tracker(vid)
+    if config.source == "camera":
+        source = camera_source(instantiate(config.device), config.seconds)
+    else:
+        source = open_source(caller_path(config.source), config.fps)
+    sensor = None
+    if config.em is not None:
+        to_kidney = None if config.em_to_kidney is None else caller_path(config.em_to_kidney)
+        sensor = read_sensor(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
+    print(track_source(tracker, source, caller_path(config.out), sensor, config.overwrite, progress))
+    return OK
+
+
+if __name__ == "__main__":
+    main()
