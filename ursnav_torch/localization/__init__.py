@@ -1,15 +1,11 @@
 """From a picture to a place in the kidney: calyx, confidence, pose."""
 
 from ursnav_torch.localization.ambiguity import LookAlikes, find_look_alikes
+from ursnav_torch.localization.answers import Candidate, Location
 from ursnav_torch.localization.learn import Query, learn_confidence, simulated_queries
-from ursnav_torch.localization.locate import (
-    Candidate,
-    LocalizationSettings,
-    Localizer,
-    Location,
-    default_matching,
-)
+from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.localization.matches import MATCH_COLUMNS, find_images, locate_files, match_row
+from ursnav_torch.localization.settings import LocalizationSettings, default_matching
 
 __all__ = [
     "MATCH_COLUMNS",

@@ -1,157 +1,25 @@
 """From one picture to a place: scan at every roll, compare shapes, weigh, decide."""
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features, polar_grid, polar_maps
 from ursnav_torch.geometry import angle_between, rotation_angle, transform_from
 from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
+from ursnav_torch.localization.answers import Candidate, Judgement, Location, Ranking
 from ursnav_torch.localization.confidence import Confidence, evidence
-from ursnav_torch.localization.refine import Refined, Refiner
+from ursnav_torch.localization.refine import Refiner
 from ursnav_torch.localization.scan import RollScan, tilts
+from ursnav_torch.localization.settings import LocalizationSettings, default_matching
 from ursnav_torch.localization.shape import ShapeStage
-from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext, one_thread_an_operation
+from ursnav_torch.matching import Matching, one_thread_an_operation
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
-
-
-def default_matching() -> Matching:
-    """Shape contexts of 40 px reach with position and edge direction in the cost, query to view."""
-    return Matching(
-        ShapeContext(r_inner=5.0, r_outer=40.0, scale=1.0),
-        PairCost(position_weight=1.0, direction_weight=1.0),
-        Nearest(sides="query_to_view"),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class LocalizationSettings:
-    """How a picture's place is decided.
-
-    The distance of a view is a weighted mean of up to three: 1 - correlation of the relief, 1 - correlation of the
-    edge directions, and the shape distance of the edge points.
-
-    Attributes:
-        relief_weight: weight of the relief's correlation; 0 compares no intensities at all.
-        direction_weight: weight of the edge directions' correlation, shared by its channels.
-        shape_weight: weight of the shape distance.
-        tilted: views that the first scan, untilted, passes on to the scan at all tilts.
-        tilt_step_deg, tilt_rounds: tilts tried: rings of directions this far apart around the picture's own.
-        candidates: views that the scan passes on to shape matching.
-        keep: candidates named in the answer.
-        refine: whether the pose is refined beyond the nearest view.
-        accept: a confidence below this is "unsure".
-    """
-
-    relief_weight: float = 1.0
-    direction_weight: float = 2.0
-    shape_weight: float = 2.0
-    tilted: int = 256
-    tilt_step_deg: float = 4.0
-    tilt_rounds: int = 3
-    candidates: int = 32
-    keep: int = 5
-    refine: bool = True
-    accept: float = 0.7
-
-    def __post_init__(self) -> None:
-        weights = (self.relief_weight, self.direction_weight, self.shape_weight)
-        if min(weights) < 0 or sum(weights) <= 0:
-            raise InputError(f"Weights of relief, direction and shape must be >= 0 and not all 0, got {weights}.")
-        if not 1 <= self.keep <= self.candidates or not 0 <= self.accept <= 1:
-            raise InputError(
-                f"Expected 1 <= keep <= candidates and 0 <= accept <= 1, got keep={self.keep}, "
-                f"candidates={self.candidates}, accept={self.accept}."
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """One view that fits.
-
-    Attributes:
-        view: index into the VID.
-        distance: lower is nearer, 0 is a perfect fit.
-        T_kidney_camera: (4, 4), the view's pose turned by the roll found.
-    """
-
-    view: int
-    distance: float
-    T_kidney_camera: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Location:
-    """Where a picture was taken.
-
-    Attributes:
-        calyx: index of the calyx observed, -1 for none (pelvis, infundibulum).
-        calyx_name: its name, blank for none.
-        T_kidney_camera: (4, 4).
-        view: the best view.
-        distance: its distance.
-        confidence: calibrated probability that ``calyx`` is right.
-        accepted: false when the system would rather say "unsure".
-        candidates: the best views, best first.
-        features: what was seen in the picture.
-        seconds: from picture to pose.
-    """
-
-    calyx: int
-    calyx_name: str
-    T_kidney_camera: Array
-    view: int
-    distance: float
-    confidence: float
-    accepted: bool
-    candidates: tuple[Candidate, ...]
-    features: Features
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class Ranking:
-    """Distances of a picture to the VID.
-
-    Attributes:
-        views: (K,) views compared, best first.
-        distance: (K,) ascending.
-        R_view_query: (K, 3, 3) how the picture's camera is turned against each view's.
-    """
-
-    views: Tensor
-    distance: Tensor
-    R_view_query: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """What a picture's features say.
-
-    Attributes:
-        ranking: the nearest views.
-        poses: (K, 4, 4) the picture's pose as each of them has it.
-        calyces: (K,) calyx observed from there, -1 for none.
-        calyx: the answer.
-        voted: the calyx that the nearest views vote for.
-        numbers: what confidence is computed from, see `confidence.Evidence`.
-        refined: the refined pose, None where refinement is off.
-    """
-
-    ranking: Ranking
-    poses: Array
-    calyces: Tensor
-    calyx: int
-    voted: int
-    numbers: Array
-    refined: Refined | None
 
 
 class Localizer:

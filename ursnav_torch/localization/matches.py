@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import IMAGE_SUFFIXES, read_image
-from ursnav_torch.localization.locate import Localizer, Location
+from ursnav_torch.localization.answers import Location
+from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.vid import POSE_COLUMNS, pose_cells
 
 MATCH_COLUMNS = ("image", "calyx", *POSE_COLUMNS, "view", "distance", "confidence", "accepted", "seconds", "error")

@@ -1,0 +1,94 @@
+"""What locating a picture gives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ursnav_torch.features import Features
+from ursnav_torch.localization.refine import Refined
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One view that fits.
+
+    Attributes:
+        view: index into the VID.
+        distance: lower is nearer, 0 is a perfect fit.
+        T_kidney_camera: (4, 4), the view's pose turned by the roll found.
+    """
+
+    view: int
+    distance: float
+    T_kidney_camera: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """Where a picture was taken.
+
+    Attributes:
+        calyx: index of the calyx observed, -1 for none (pelvis, infundibulum).
+        calyx_name: its name, blank for none.
+        T_kidney_camera: (4, 4).
+        view: the best view.
+        distance: its distance.
+        confidence: calibrated probability that ``calyx`` is right.
+        accepted: false when the system would rather say "unsure".
+        candidates: the best views, best first.
+        features: what was seen in the picture.
+        seconds: from picture to pose.
+    """
+
+    calyx: int
+    calyx_name: str
+    T_kidney_camera: Array
+    view: int
+    distance: float
+    confidence: float
+    accepted: bool
+    candidates: tuple[Candidate, ...]
+    features: Features
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """Distances of a picture to the VID.
+
+    Attributes:
+        views: (K,) views compared, best first.
+        distance: (K,) ascending.
+        R_view_query: (K, 3, 3) how the picture's camera is turned against each view's.
+    """
+
+    views: Tensor
+    distance: Tensor
+    R_view_query: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a picture's features say.
+
+    Attributes:
+        ranking: the nearest views.
+        poses: (K, 4, 4) the picture's pose as each of them has it.
+        calyces: (K,) calyx observed from there, -1 for none.
+        calyx: the answer.
+        voted: the calyx that the nearest views vote for.
+        numbers: what confidence is computed from, see `confidence.Evidence`.
+        refined: the refined pose, None where refinement is off.
+    """
+
+    ranking: Ranking
+    poses: Array
+    calyces: Tensor
+    calyx: int
+    voted: int
+    numbers: Array
+    refined: Refined | None
