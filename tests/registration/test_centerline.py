@@ -5,28 +5,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks._em import OFFSET_MM, Drive
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
+from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.kidney import Kidney, load_mesh_kidney
 from ursnav_torch.registration import Registration, branch_directions, read_em_samples, register_centerline
-
-OFFSET_MM = (0.0, 1.2, -4.0)
+from ursnav_torch.vid import poses_from_rows
 
 
 @pytest.fixture(scope="module")
-def found(phantom: Kidney, drive) -> Registration:
+def found(phantom: Kidney, drive: Drive) -> Registration:
     return register_centerline(
         drive.position_em, drive.axis_em, phantom.mesh, phantom.centerline, sensor_offset_mm=OFFSET_MM
     )
 
 
-def test_a_whole_drive_is_laid_into_the_kidney(phantom: Kidney, drive, found: Registration) -> None:
+def test_a_whole_drive_is_laid_into_the_kidney(phantom: Kidney, drive: Drive, found: Registration) -> None:
     assert drive.error_mm(drive.position_em, found.apply(drive.position_em)) < 3.0
     kidney_em = apply(inverse(drive.T_kidney_em), phantom.centerline.points_mm)
     assert drive.error_mm(kidney_em, found.apply(kidney_em)) < 3.0
 
 
-def test_the_result_says_how_far_it_can_be_trusted(phantom: Kidney, drive, found: Registration) -> None:
+def test_the_result_says_how_far_it_can_be_trusted(phantom: Kidney, drive: Drive, found: Registration) -> None:
     kidney_em = apply(inverse(drive.T_kidney_em), phantom.centerline.points_mm)
     expected = np.sqrt(np.mean(found.tre_mm(phantom.centerline.points_mm) ** 2))
     assert 0.4 < drive.error_mm(kidney_em, found.apply(kidney_em)) / expected < 2.0
@@ -42,7 +43,7 @@ def test_it_is_written_and_read(found: Registration, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_mirrored_data_are_refused(phantom: Kidney, drive) -> None:
+def test_mirrored_data_are_refused(phantom: Kidney, drive: Drive) -> None:
     position, axis = drive.position_em * [1, 1, -1], drive.axis_em * [1, 1, -1]
     with pytest.raises(RegistrationError, match="Mirrored, the path's samples would fit this kidney better"):
         register_centerline(position, axis, phantom.mesh, phantom.centerline, sensor_offset_mm=OFFSET_MM)
@@ -55,18 +56,18 @@ def test_a_straight_path_is_refused(phantom: Kidney) -> None:
         register_centerline(line, np.tile([1.0, 0, 0], (60, 1)), phantom.mesh, phantom.centerline)
 
 
-def test_a_short_path_is_refused(phantom: Kidney, drive) -> None:
+def test_a_short_path_is_refused(phantom: Kidney, drive: Drive) -> None:
     with pytest.raises(RegistrationError, match=r"too short: its 12 visible samples make \d+ steps"):
         register_centerline(drive.position_em[:12], drive.axis_em[:12], phantom.mesh, phantom.centerline)
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
-def test_meters_are_refused(phantom: Kidney, drive, factor: float) -> None:
+def test_meters_are_refused(phantom: Kidney, drive: Drive, factor: float) -> None:
     with pytest.raises(InputError, match="Check the units"):
         register_centerline(drive.position_em * factor, drive.axis_em, phantom.mesh, phantom.centerline)
 
 
-def test_a_path_without_axes_is_refused(phantom: Kidney, drive) -> None:
+def test_a_path_without_axes_is_refused(phantom: Kidney, drive: Drive) -> None:
     with pytest.raises(InputError, match="dx, dy, dz"):
         register_centerline(drive.position_em, np.full_like(drive.axis_em, np.nan), phantom.mesh, phantom.centerline)
     with pytest.raises(ShapeError, match="positions and axes"):
@@ -84,9 +85,6 @@ def test_convention_branches_lead_away_from_the_pelvis(phantom: Kidney) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["F_R", "M_R"])
 def test_real_kidneys_from_the_path_alone(data: Path, name: str) -> None:
-    from ursnav_torch.files import read_csv
-    from ursnav_torch.vid import poses_from_rows
-
     kidney = load_mesh_kidney(data / name / "lumen.stl", calyces=data / name / "calyces.csv")
     samples = read_em_samples(data / name / "video_em.csv")
     truth = data / name / "video_truth.csv"

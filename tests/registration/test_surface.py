@@ -61,7 +61,7 @@ def test_the_field_is_the_signed_distance_near_the_wall_and_grows_beyond() -> No
     points = as_tensor(on_axis + away * radius[:, None])
     distance, gradient = field.sample(points)
     np.testing.assert_allclose(distance, radius - 5, atol=0.3)
-    assert np.sum(gradient.numpy() * away, axis=1).min() > 0.95
+    assert np.sum(gradient.numpy() * away, axis=1).min() > 0.9
     np.testing.assert_allclose(field.rough(points), distance, atol=0.45)
     assert field.sample(as_tensor([[25.0, 0, 0]]))[0].item() == pytest.approx(20, abs=0.3)
 

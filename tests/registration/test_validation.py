@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from test_landmarks import EM, KIDNEY
 
+from benchmarks._em import OFFSET_MM, readings, simulated_matches
 from ursnav_torch.errors import InputError, ShapeError
-from ursnav_torch.geometry import apply, inverse, look_along, transform_from
+from ursnav_torch.geometry import apply, look_along, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.registration import (
     ErrorBudget,
@@ -20,7 +20,6 @@ from ursnav_torch.registration import (
 )
 from ursnav_torch.vid import PlanSettings, plan_views
 
-OFFSET_MM = np.array([0.0, 1.2, -4.0])
 # Thesis table 5.2: virtual cameras in Unity coordinates (m, 6 times the phantom), the sensor in the EM frame (mm).
 CAMERA_UNITY = np.array(
     [[-0.649, -0.784, -0.893], [-0.547, -0.794, -1.067], [-0.483, -0.846, -1.078], [-0.665, -0.780, -1.180],
@@ -117,40 +116,15 @@ def test_shapes_and_budgets_are_checked() -> None:
         camera_errors(registration, np.zeros((3, 3)), np.zeros((2, 3)))
 
 
-def simulated_matches(
-    kidney: Kidney, lumen: LumenDistance, plan: PlanSettings, count: int
-) -> tuple[NDArray, NDArray, NDArray]:
-    """True poses, matched poses and whether they are right: half are of another calyx, half of those from nearby."""
-    rng = np.random.default_rng(0)
-    views = plan_views(kidney, lumen, plan)
-    T, calyx = views.T_kidney_camera[views.calyx >= 0], views.calyx[views.calyx >= 0]
-    true = rng.integers(len(T), size=count)
-    wrong, near = rng.random(count) < 0.5, rng.random(count) < 0.5
-    matched = T[true].copy()
-    for i in range(count):
-        if wrong[i]:
-            others = np.flatnonzero(calyx != calyx[true[i]])
-            distance = np.linalg.norm(T[others, :3, 3] - T[true[i], :3, 3], axis=1)
-            matched[i] = T[others[distance.argsort()[: 5 if near[i] else None]][rng.integers(5)]]
-        else:
-            matched[i] = look_along(
-                T[true[i], :3, 3] + rng.normal(0, 0.45, 3), T[true[i], :3, 2] + rng.normal(0, 0.095, 3)
-            )
-    return T[true], matched, ~wrong
-
-
-def test_direction_tells_matches_from_the_same_place_apart(
-    phantom: Kidney, phantom_lumen: LumenDistance, plan: PlanSettings
-) -> None:
+def test_direction_tells_matches_from_the_same_place_apart(phantom: Kidney, phantom_lumen: LumenDistance) -> None:
+    plan = plan_views(phantom, phantom_lumen, PlanSettings(views_per_calyx=40, passage_views=0))
+    true, matched, right = simulated_matches(plan, 600)
     rng = np.random.default_rng(3)
-    true, matched, right = simulated_matches(phantom, phantom_lumen, plan, 600)
     registration = identity(rng)
-    sensor = apply(true, np.broadcast_to(OFFSET_MM, (600, 3))) + rng.normal(0, 0.4, (600, 3))
-    axis = true[:, :3, 2] + rng.normal(0, 0.007, (600, 3))
-    em, axis_em = apply(inverse(registration.T_kidney_em), sensor), axis @ registration.R
-    found = compare_poses(matched, em, axis_em, registration, OFFSET_MM, ErrorBudget())
+    em, axis = readings(true, registration.T_kidney_em, rng)
+    found = compare_poses(matched, em, axis, registration, OFFSET_MM, ErrorBudget())
     both = confusion(right, found.p >= 0.01)
     alone = max(confusion(right, found.distance_mm <= t).balanced_accuracy for t in np.linspace(0.5, 15, 59))
     assert both.TN + both.FP > 0.3 * 600
     assert both.balanced_accuracy >= 0.95
-    assert both.balanced_accuracy > alone
+    assert both.balanced_accuracy > alone + 0.02
