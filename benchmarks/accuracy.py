@@ -1,7 +1,7 @@
 """Which calyx, where, how sure, on pictures the project did not draw: ``python -m benchmarks.accuracy data=DIR``.
 
 Arguments, each ``key=value``: ``data=DIR`` (or URSNAV_DATA) ``work=DIR`` (keeps the VIDs) ``out=FILE.json``. Every
-row is one choice of features and matching on the same pictures, one at a time, no refinement.
+row is one choice of features and matching on the same pictures, one at a time; only the first is refined.
 """
 
 import sys
@@ -98,6 +98,7 @@ def parts_left_out() -> dict[str, Method]:
     """The default, and the default with each part left out in turn."""
     s, m = LocalizationSettings(refine=False), default_matching()
     return {
+        "default, refined": ours(LocalizationSettings()),
         "default": ours(),
         "edges and shape alone": ours(replace(s, relief_weight=0.0)),
         "without edge-direction maps": ours(replace(s, direction_weight=0.0)),
@@ -138,7 +139,7 @@ def measure(report: Report, folder: Path, work: Path, rivals: bool) -> None:
     for name, method in parts_left_out().items():
         answers = ask(method, vids, pictures)
         score(report, name, answers)
-        if name == "default":
+        if name == "default, refined":
             judge_confidence(report, answers)
             refuse(report, vids, folder)
     if rivals:
@@ -212,7 +213,7 @@ def refuse(report: Report, vids: dict[str, Vid], folder: Path) -> None:
     """Pictures without a calyx: the share that is not accepted."""
     refused, count = 0, 0
     for kidney, vid in vids.items():
-        localizer = Localizer(vid, None, LocalizationSettings(refine=False))
+        localizer = Localizer(vid)
         for path in sorted((folder / kidney / "none").glob("*.jpg")):
             count += 1
             try:

@@ -43,7 +43,7 @@ class LocalizationSettings:
     candidates: int = 32
     keep: int = 5
     refine: bool = True
-    accept: float = 0.7
+    accept: float = 0.5
 
     def __post_init__(self) -> None:
         weights = (self.relief_weight, self.direction_weight, self.shape_weight)
