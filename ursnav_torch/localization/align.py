@@ -26,7 +26,7 @@ _DAMPING = 1e-3
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
 _LEAST_GAIN = 0.2
-_CONVERGED = np.array([0.01, 0.01, 0.01, 1e-3, 1e-3, 1e-3])  # mm and radians
+_CONVERGED = np.array([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3])  # mm and radians
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +138,11 @@ class Aligner:
         if count < LEAST_PIXELS:
             return -1.0, None
         seen, seen_size = _standard(value, good)
-        drawn, drawn_size = _standard(
-            drawing.value + np.tensordot(state.light.astype(np.float32), drawing.lit, 1), good
-        )
+        drawn = drawing.value + np.tensordot(state.light.astype(np.float32), drawing.lit, 1)
+        drawn, drawn_size = _standard(drawn, good)
         correlation = (seen * drawn) @ good / count
-        gain = np.maximum(correlation, _LEAST_GAIN)[:, None]
-        residual = seen - gain * drawn
+        gain = np.maximum(correlation, _LEAST_GAIN)[:, None].astype(np.float32)
+        residual: Floats = seen - gain * drawn
         weight = _tukey(residual, good, count)
         x, y = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
         motion = drawing.motion[:, :, None]
@@ -158,7 +157,7 @@ class Aligner:
 
     def _limited(self, step: Array) -> Array:
         """A step shortened to what one linearization can be trusted with."""
-        far, turned = np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])
+        far, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:6]))
         return step * min(1.0, self._longest_step / max(far, 1e-12), _LARGEST_TURN / max(turned, 1e-12))
 
 

@@ -18,13 +18,16 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
+#: A hypothesis whose score is this much below the best one's is given up.
+MARGIN = 0.05
+
 
 @dataclass(frozen=True, slots=True)
 class RefinementSettings:
     """How poses are refined.
 
     Attributes:
-        hypotheses: candidates that are tried; after every round the better half goes on.
+        hypotheses: candidates that are tried; after every round the better half goes on, or fewer.
         iterations: steps of one alignment at most.
         coarse_px: shorter side of the drawings of the first round, which reaches farther.
         fine_px: shorter side of the drawings of the other rounds.
@@ -119,7 +122,7 @@ class Refiner:
             for _ in range(rounds):
                 states = [(i, self._once(aligner, picture, state)) for i, state in states]
                 taken += sum(state.iterations for _, state in states)
-                states = sorted(states, key=lambda state: -state[1].score)[: (len(states) + 1) // 2]
+                states = _better_half(states)
         i, best = states[0]
         return Refined(best.T_kidney_camera, best.score, i, taken, best.light)
 
@@ -136,3 +139,10 @@ class Refiner:
         held = T_new.copy()
         held[:3, 3] = positions[int(np.argmax(room >= min(self._clearance, room[-1])))]
         return held
+
+
+def _better_half(states: list[tuple[int, Aligned]]) -> list[tuple[int, Aligned]]:
+    """The better half of numbered hypotheses, best first, without those `MARGIN` below the best."""
+    ranked = sorted(states, key=lambda state: -state[1].score)
+    near = [state for state in ranked if state[1].score >= ranked[0][1].score - MARGIN]
+    return near[: (len(states) + 1) // 2]
