@@ -90,7 +90,9 @@ class Tracker:
             )
         self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
         self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
-        self._refiner = Refiner(vid, refinement or RefinementSettings(iterations=6, fine_rounds=1), self.lumen)
+        self._refiner = Refiner(
+            vid, refinement or RefinementSettings(self.settings.tries, iterations=6, fine_rounds=1), self.lumen
+        )
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
         self._extractor = vid.extractor()
         self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
@@ -105,7 +107,7 @@ class Tracker:
         self._light: Array | None = None
         self._own: _Lead | None = None
         self._rival: _Lead | None = None
-        self._doubt = 0.0
+        self._doubt, self._deeper = 0.0, 1.0
 
     def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
         """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
@@ -126,7 +128,7 @@ class Tracker:
         s, passed = self.settings, self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         found, fit = self._search.weigh(features, self._before, passed, sensor)
         T, _ = place(found, s, self.vid.kidney.scale)
-        refined = self._decide(features, T, found.T_kidney_camera[found.weight.argmax()])
+        refined = self._decide(features, T, found)
         if refined.score > s.well_aligned:
             self._light = refined.light if self._light is None else 0.8 * self._light + 0.2 * refined.light
         self._remember(found, refined.T_kidney_camera, t_s)
@@ -140,15 +142,15 @@ class Tracker:
         confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._trust))
         return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
 
-    def _decide(self, features: Features, T: Array, best: Array) -> Refined:
+    def _decide(self, features: Features, T: Array, found: Hypotheses) -> Refined:
         """Follow the track at hand; where the filter holds another place more probable, follow that beside it, and go
         over to it once it has been the better aligned of the two for some pictures."""
-        s = self.settings
+        s, best = self.settings, found.T_kidney_camera[found.weight.argmax()]
         if self._own is None:
             self._own = _Lead(self._aligned(features, [T, best]))
             return self._own.refined
         agrees = self._near(T, self._own.refined.T_kidney_camera)
-        self._own = _Lead(self._aligned(features, [*self._own.ahead(), *([T] if agrees else [])]), self._own.refined)
+        self._own = _Lead(self._aligned(features, self._around(self._own, T, found)), self._own.refined)
         if agrees or self._near(T, self._own.refined.T_kidney_camera):
             self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
             return self._own.refined
@@ -162,6 +164,24 @@ class Tracker:
         if self._doubt >= (s.convinced if self._state == TRACKING else 1.0):
             self._own, self._rival, self._doubt = self._rival, None, 0.0
         return self._own.refined
+
+    def _around(self, own: _Lead, T: Array, found: Hypotheses) -> list[Array]:
+        """Where the track may go on: ahead, a step deeper or less deep in turn, and places among the hypotheses nearby.
+
+        Depth is what alignment tells least, and where it slips.
+        """
+        s, unit = self.settings, self.vid.kidney.scale
+        ahead = own.ahead()
+        self._deeper = -self._deeper
+        slid = ahead[-1].copy()
+        slid[:3, 3] += self._deeper * s.slide_mm * unit * slid[:3, 2]
+        tried = [*ahead, slid]
+        order = np.argsort(-found.weight)[: s.newcomers]
+        for pose in [T, *found.T_kidney_camera[order]]:
+            apart = [np.linalg.norm(pose[:3, 3] - t[:3, 3]) for t in tried]
+            if min(apart) > s.slide_mm / 2 * unit and apart[0] < 2 * s.near_mm * unit and len(tried) < s.tries:
+                tried.append(pose)
+        return tried
 
     def _aligned(self, features: Features, candidates: list[Array]) -> Refined:
         return self._refiner.refine(features, candidates, self._light)

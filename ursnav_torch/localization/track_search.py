@@ -31,6 +31,8 @@ class TrackSettings:
         newcomers: of these, poses that fit best wherever they are.
         near_mm, near_deg: hypotheses within this of the best are one place; their mean is the pose.
         own_share: probability of the track's own pose beside the views'.
+        tries: poses that the track is tried to go on from.
+        slide_mm: step in depth that is tried; other poses tried are half as far apart at least.
         better_by: another place whose alignment scores better by this is preferred a full step.
         convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
@@ -53,6 +55,8 @@ class TrackSettings:
     near_mm: float = 3.0
     near_deg: float = 25.0
     own_share: float = 0.5
+    tries: int = 5
+    slide_mm: float = 2.0
     better_by: float = 0.1
     convinced: float = 3.0
     bridge_s: float = 1.0
