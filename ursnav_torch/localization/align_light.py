@@ -1,7 +1,8 @@
 """The scope's light as far as alignment must know it: where the LED sits shifts every shaded flank.
 
-Drawn with its light in the lens, a wall lit from beside the lens fits best from a wrong pose: of two parts in which
-the position was off in simulated pictures, this was one. So the light is found along with the pose, with a prior.
+Drawn with its light in the lens, a wall that is lit from beside it fits best from a pose a little off. So the light is
+found along with the pose, held by a prior. The gain is small once gradients are aligned too, and largest for an LED
+well off the axis.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """How far located poses are from true ones: per frame, over a track, and in a form that other tools score.
 
-Position, direction and needle error are those of virtual bronchoscopy (Merritt et al., IEEE TMI 32:1460, 2013).
+Position, direction and needle error are those of virtual bronchoscopy (Merritt et al., Interactive CT-video
+registration for the continuous guidance of bronchoscopy, IEEE TMI 2013).
 Poses without an estimate are nan; they count as lost and enter no mean.
 """
 
