@@ -40,7 +40,8 @@ class Localizer:
     ) -> None:
         self.vid, self.settings = vid, settings or LocalizationSettings()
         self._extractor = vid.extractor()
-        self._shape = ShapeStage(vid.features, vid.camera, matching or default_matching())
+        self.matching = matching or default_matching()
+        self._shape = ShapeStage(vid.features, vid.camera, self.matching)
         self._lumen = LumenDistance.from_kidney(vid.kidney)
         self._near = self._lumen.to_calyces(vid.T_kidney_camera[:, :3, 3]) <= OBSERVED_WITHIN_MM * vid.kidney.scale
         able = self.settings.refine and vid.features.maps.shape[1] > 0

@@ -35,36 +35,38 @@ class MatchReport:
         folder: where to write; it exists.
         vid: what was searched.
         title: headline.
+        entries: HTML of every picture, its ``row`` of the table and its ``article``.
     """
 
     folder: Path
     vid: Vid
     title: str = "Where these pictures were taken"
-    _articles: list[str] = field(default_factory=list)
-    _rows: list[str] = field(default_factory=list)
+    entries: list[dict[str, str]] = field(default_factory=list)
     _outlook: tuple[Overview, Overview] | None = None
 
     def add(
         self, row: dict[str, Any], location: Location | None, image: Picture | None, truth: str | None = None
     ) -> None:
         """One picture: its row of the CSV, its location (None when there is an error) and itself."""
-        number, name = len(self._articles), html.escape(str(row["image"]))
+        number, name = len(self.entries), html.escape(str(row["image"]))
         answer = _answer(location)
         cells = "" if truth is None else f"<td>{html.escape(truth) or '(none)'}</td>"
         detail = f"{location.confidence:.0%}" if location else html.escape(str(row.get("error", "")))
-        self._rows.append(f'<tr><td><a href="#p{number}">{name}</a></td><td>{answer}</td>{cells}<td>{detail}</td></tr>')
+        line = f'<tr><td><a href="#p{number}">{name}</a></td><td>{answer}</td>{cells}<td>{detail}</td></tr>'
         figures = [] if image is None else [self._figure(image, f"{number}_image", "picture")]
         if location is not None and image is not None:
             figures += self._location_figures(number, image, location)
-        self._articles.append(f'<article id="p{number}"><h3>{name}: {answer}</h3>{"".join(figures)}</article>')
+        article = f'<article id="p{number}"><h3>{name}: {answer}</h3>{"".join(figures)}</article>'
+        self.entries.append({"row": line, "article": article})
 
     def finish(self, summary: str) -> Path:
         """Write the page; ``summary`` is a paragraph below the headline."""
         head = "<tr><th>picture</th><th>calyx</th>" + ("<th>truth</th>" if "</td><td>" in self._truths() else "")
+        rows, articles = ("".join(entry[part] for entry in self.entries) for part in ("row", "article"))
         page = (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(self.title)}</title>'
             f"<style>{_STYLE}</style><h1>{html.escape(self.title)}</h1><p>{html.escape(summary)}</p>"
-            f"<table>{head}<th>confidence</th></tr>{''.join(self._rows)}</table>{''.join(self._articles)}"
+            f"<table>{head}<th>confidence</th></tr>{rows}</table>{articles}"
             "<footer>Edges are green in the picture, orange in the view. Camera axes: x red, y green, z (viewing "
             "direction) blue. Research software, not a medical device.</footer></html>"
         )
@@ -73,7 +75,7 @@ class MatchReport:
         return path
 
     def _truths(self) -> str:
-        return "</td><td>" if self._rows and self._rows[0].count("<td>") == 4 else ""
+        return "</td><td>" if self.entries and self.entries[0]["row"].count("<td>") == 4 else ""
 
     def _location_figures(self, number: int, image: Picture, location: Location) -> list[str]:
         best, *others = location.candidates
