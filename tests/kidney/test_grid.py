@@ -48,7 +48,7 @@ def test_nearest_is_the_voxel_around_a_point_or_the_nearest_inside(tube: trimesh
 
 def test_graph_joins_each_voxel_with_its_26_neighbors(tube: trimesh.Trimesh) -> None:
     grid = LumenGrid.from_mesh(tube, 0.5)
-    graph = grid.graph()
+    graph = grid.graph
     middle = int(grid.nearest([[0.0, 0.0, 0.0]])[0])
     row = graph[[middle]].tocoo()
     assert len(row.data) == 26

@@ -30,10 +30,8 @@ class Ways:
     corner: IntArray
 
 
-def ways_to(
-    grid: LumenGrid, graph: csr_array, sources: IntArray, start_mm: Array | None = None, limit_mm: float = np.inf
-) -> Ways:
-    """Ways to ``sources`` (S,), each counted from its own ``start_mm`` (S,) on; ``graph`` is the grid's.
+def ways_to(grid: LumenGrid, sources: IntArray, start_mm: Array | None = None, limit_mm: float = np.inf) -> Ways:
+    """Ways to ``sources`` (S,), each counted from its own ``start_mm`` (S,) on.
 
     Voxels from which the way over voxels is longer than ``limit_mm`` have none.
 
@@ -41,7 +39,7 @@ def ways_to(
     neighbors in the bands before if it sees it, else the best of those neighbors as its corner.
     """
     start = np.zeros(len(sources)) if start_mm is None else start_mm
-    over_voxels = _voxel_lengths(graph, sources, start, limit_mm)
+    over_voxels = _voxel_lengths(grid.graph, sources, start, limit_mm)
     length, corner = np.full(len(over_voxels), np.inf), np.arange(len(over_voxels))
     reached = np.isfinite(over_voxels)
     band = np.full(len(over_voxels), np.iinfo(np.int64).max)
@@ -50,7 +48,7 @@ def ways_to(
     length[sources] = start
     order = np.argsort(band, kind="stable")[: reached.sum()]
     for voxels in np.split(order, np.flatnonzero(np.diff(band[order])) + 1):
-        first, voxel, neighbor = _earlier(graph, voxels, band)
+        first, voxel, neighbor = _earlier(grid.graph, voxels, band)
         if len(first):
             _turn(grid, length, corner, first, voxel, neighbor)
     return Ways(length, corner)

@@ -27,6 +27,7 @@ class LumenGrid:
         voxel_mm: edge length of a voxel.
         index: (X, Y, Z) number of each voxel inside the lumen, -1 outside.
         centers_mm: (V, 3) centers of the voxels inside, in the order of ``index``.
+        graph: (V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors.
     """
 
     wall_mm: Array
@@ -34,6 +35,7 @@ class LumenGrid:
     voxel_mm: float
     index: IntArray
     centers_mm: Array
+    graph: csr_array
 
     @classmethod
     def from_mesh(cls, mesh: trimesh.Trimesh, voxel_mm: float) -> "LumenGrid":
@@ -47,7 +49,7 @@ class LumenGrid:
         wall[near] = np.where(inside[near], exact, -exact)
         index = np.full(inside.shape, -1)
         index[inside] = np.arange(inside.sum())
-        return cls(wall, origin, voxel_mm, index, origin + voxel_mm * np.argwhere(inside))
+        return cls(wall, origin, voxel_mm, index, origin + voxel_mm * np.argwhere(inside), _graph(index, voxel_mm))
 
     @property
     def radius_mm(self) -> Array:
@@ -72,21 +74,6 @@ class LumenGrid:
             voxel[out] = cKDTree(self.centers_mm).query(points[out])[1]
         return voxel
 
-    def graph(self) -> csr_array:
-        """(V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors."""
-        i, j, length = [], [], []
-        for step in np.array(_HALF_NEIGHBORS) - 1:
-            low, high = np.maximum(-step, 0), np.maximum(step, 0)
-            a = self.index[tuple(slice(x, n - y) for x, y, n in zip(low, high, self.index.shape, strict=True))]
-            b = self.index[tuple(slice(y, n - x) for x, y, n in zip(low, high, self.index.shape, strict=True))]
-            both = (a >= 0) & (b >= 0)
-            i.append(a[both])
-            j.append(b[both])
-            length.append(np.full(both.sum(), self.voxel_mm * np.linalg.norm(step)))
-        rows, columns, values = np.concatenate(i), np.concatenate(j), np.concatenate(length)
-        half = csr_array((values, (rows, columns)), shape=(len(self.centers_mm),) * 2)
-        return (half + half.T).tocsr()
-
 
 def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike, edge_mm: float) -> Array:
     """(N,) unsigned distance in mm of points (N, 3) to a mesh.
@@ -102,6 +89,21 @@ def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike, edge_mm: fl
         on = trimesh.triangles.closest_point(triangles[column], points)
         best = np.minimum(best, np.linalg.norm(on - points, axis=1))
     return best
+
+
+def _graph(index: IntArray, voxel_mm: float) -> csr_array:
+    i, j, length = [], [], []
+    for step in np.array(_HALF_NEIGHBORS) - 1:
+        low, high = np.maximum(-step, 0), np.maximum(step, 0)
+        a = index[tuple(slice(x, n - y) for x, y, n in zip(low, high, index.shape, strict=True))]
+        b = index[tuple(slice(y, n - x) for x, y, n in zip(low, high, index.shape, strict=True))]
+        both = (a >= 0) & (b >= 0)
+        i.append(a[both])
+        j.append(b[both])
+        length.append(np.full(both.sum(), voxel_mm * np.linalg.norm(step)))
+    rows, columns, values = np.concatenate(i), np.concatenate(j), np.concatenate(length)
+    half = csr_array((values, (rows, columns)), shape=(index.max() + 1,) * 2)
+    return (half + half.T).tocsr()
 
 
 def _fill(triangles: Array, shape: IntArray) -> NDArray[np.bool_]:

@@ -42,10 +42,9 @@ class LumenDistance:
     def from_kidney(cls, kidney: Kidney, voxel_mm: float | None = None) -> "LumenDistance":
         """Distances for a kidney on voxels of ``voxel_mm`` (0.5 mm at scale 1 by default)."""
         grid = LumenGrid.from_mesh(kidney.mesh, voxel_mm or VOXEL_MM * kidney.scale)
-        graph = grid.graph()
         corner, beyond = [], []
         for tip, seed in zip(kidney.tips_mm, grid.nearest(kidney.tips_mm), strict=True):
-            ways = ways_to(grid, graph, np.array([seed]))
+            ways = ways_to(grid, np.array([seed]))
             corner.append(np.where((ways.corner == seed)[:, None], tip, grid.centers_mm[ways.corner]))
             beyond.append(ways.length_mm[ways.corner])
         return cls(grid, np.stack(corner), np.stack(beyond), kidney.scale)

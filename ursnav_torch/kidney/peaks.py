@@ -17,16 +17,13 @@ def prominent_peaks(height: Array, graph: csr_array, least: float) -> tuple[IntA
     """
     edges = graph.tocoo()
     peak_of = _climb(height, edges.row, edges.col)
-    passes = np.minimum(height[edges.row], height[edges.col])
-    border = np.flatnonzero(peak_of[edges.row] < peak_of[edges.col])
-    border = border[np.argsort(-passes[border], kind="stable")]
+    a, b, passes = _passes(peak_of[edges.row], peak_of[edges.col], np.minimum(height[edges.row], height[edges.col]))
     higher = {int(p): int(p) for p in np.unique(peak_of)}
     prominence = dict.fromkeys(higher, np.inf)
-    for e in border:
-        a, b = (_summit(higher, int(peak_of[v])) for v in (edges.row[e], edges.col[e]))
-        if a != b:
-            low, high = (a, b) if height[a] < height[b] else (b, a)
-            higher[low], prominence[low] = high, float(height[low] - passes[e])
+    for one, other, saddle in zip(a.tolist(), b.tolist(), passes.tolist(), strict=True):
+        low, high = sorted((_summit(higher, one), _summit(higher, other)), key=lambda p: height[p])
+        if low != high:
+            higher[low], prominence[low] = high, float(height[low] - saddle)
     peaks, sizes = np.array(list(prominence)), np.array(list(prominence.values()))
     order = np.lexsort((-height[peaks], -sizes))
     order = order[sizes[order] > least]
@@ -43,6 +40,17 @@ def _climb(height: Array, i: IntArray, j: IntArray) -> IntArray:
     while np.any(up[up] != up):
         up = up[up]
     return up
+
+
+def _passes(a: IntArray, b: IntArray, height: Array) -> tuple[IntArray, IntArray, Array]:
+    """The highest pass between any two peaks: peaks ``a`` < ``b`` and its height (P,), from the highest down."""
+    between = a < b
+    a, b, height = a[between], b[between], height[between]
+    order = np.lexsort((-height, b, a))
+    a, b, height = a[order], b[order], height[order]
+    first = np.append(True, (np.diff(a) != 0) | (np.diff(b) != 0))[: len(a)]
+    down = np.argsort(-height[first], kind="stable")
+    return a[first][down], b[first][down], height[first][down]
 
 
 def _summit(higher: dict[int, int], peak: int) -> int:

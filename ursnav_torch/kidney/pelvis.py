@@ -23,15 +23,15 @@ def find_pelvis(grid: LumenGrid, scale: float) -> Array:
 
     The measure is the volume in a Gaussian neighborhood over the way to the farthest end.
     """
-    graph, inside = grid.graph(), grid.index >= 0
+    inside = grid.index >= 0
     bulk = ndimage.gaussian_filter(inside.astype(float), _AROUND_MM * scale / grid.voxel_mm)[inside]
-    one = _farthest(graph, int(bulk.argmax()))
-    way = dijkstra(graph, indices=[one, _farthest(graph, one)]).max(axis=0)
+    one = _farthest(grid.graph, int(bulk.argmax()))
+    way = dijkstra(grid.graph, indices=[one, _farthest(grid.graph, one)]).max(axis=0)
     best = int(np.where(np.isfinite(way), bulk / np.maximum(way, 1e-6), 0).argmax())
     return grid.centers_mm[ridge_near(grid, grid.centers_mm[best])]
 
 
-def is_ureter(grid: LumenGrid, graph: csr_array, ends: IntArray, pelvis_mm: Array, scale: float) -> NDArray[np.bool_]:
+def is_ureter(grid: LumenGrid, ends: IntArray, pelvis_mm: Array, scale: float) -> NDArray[np.bool_]:
     """(E,) True for the one end (a voxel each) of the lumen that is the ureter, if any is.
 
     Calyces lie lateral of the pelvis, spread from pole to pole; the ureter leaves it towards the midline and, unlike a
@@ -43,7 +43,7 @@ def is_ureter(grid: LumenGrid, graph: csr_array, ends: IntArray, pelvis_mm: Arra
     towards = grid.centers_mm[ends] - pelvis_mm
     lateral = [_lateral(np.delete(towards, i, axis=0)) @ t / np.linalg.norm(t) for i, t in enumerate(towards)]
     i = int(np.argmin(lateral))
-    end = dijkstra(graph, indices=ends[i], limit=_END_MM * scale) < _END_MM * scale
+    end = dijkstra(grid.graph, indices=ends[i], limit=_END_MM * scale) < _END_MM * scale
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(grid.centers_mm[end].T)))
     ureter[i] = lateral[i] < _MEDIAL and spread[1] < _SLENDER_MM * scale
     return ureter

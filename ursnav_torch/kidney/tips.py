@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from ursnav_torch.errors import InputError
@@ -47,21 +46,24 @@ def find_tips(grid: LumenGrid, pelvis_mm: ArrayLike, scale: float) -> Array:
     Raises:
         InputError: nothing stands out of the pelvis.
     """
-    graph, root = grid.graph(), ridge_near(grid, pelvis_mm)
-    way = ways_to(grid, graph, np.array([root])).length_mm
+    root = ridge_near(grid, pelvis_mm)
+    way = ways_to(grid, np.array([root])).length_mm
     way[~np.isfinite(way)] = -1.0
-    taken = way <= min(_PELVIS_MM * scale, _PELVIS_SHARE * _usual(way, graph, scale))
+    far, _ = prominent_peaks(way, grid.graph, _PROMINENCE_MM * scale)
+    taken = way <= min(_PELVIS_MM * scale, _PELVIS_SHARE * float(np.median(way[far])))
     ends: list[int] = []
     tips: list[Array] = []
-    for end in _ends(grid, graph, root, way, scale):
-        cup = _cup(grid, graph, end.voxel, scale)
-        floor = _side_floor(grid, graph, end, scale) if end.aside else cup & (end.field >= end.level)
+    for end in _ends(grid, root, way, far, scale):
+        if taken[end.voxel]:
+            continue
+        cup = _cup(grid, end.voxel, scale)
+        floor = _side_floor(grid, end, scale) if end.aside else cup & (end.field >= end.level)
         tip = _off_the_wall(grid, grid.centers_mm[floor].mean(axis=0), scale)
-        if not taken[end.voxel] and all(np.linalg.norm(tip - t) >= _APART_MM * scale for t in tips):
+        if all(np.linalg.norm(tip - t) >= _APART_MM * scale for t in tips):
             taken |= cup
             ends.append(end.voxel)
             tips.append(tip)
-    keep = ~is_ureter(grid, graph, np.array(ends, int), grid.centers_mm[root], scale)
+    keep = ~is_ureter(grid, np.array(ends, int), grid.centers_mm[root], scale)
     if not np.any(keep):
         raise InputError(
             "No calyx was found: nothing stands out of the pelvis. Is the mesh a whole collecting system? "
@@ -80,16 +82,10 @@ class _End:
     aside: bool
 
 
-def _usual(way: Array, graph: csr_array, scale: float) -> float:
-    """Median way from the pelvis to the ends that are farther from it than all around them."""
-    return float(np.median(way[prominent_peaks(way, graph, _PROMINENCE_MM * scale)[0]]))
-
-
-def _ends(grid: LumenGrid, graph: csr_array, root: int, way: Array, scale: float) -> list[_End]:
-    """Ends that are farther from the pelvis than all around them, then those to the side of the ways there."""
-    far, _ = prominent_peaks(way, graph, _PROMINENCE_MM * scale)
-    out = _out_of(grid, graph, _trunk(grid, root, far, scale))
-    aside, prominence = prominent_peaks(out, graph, _PROMINENCE_MM * scale)
+def _ends(grid: LumenGrid, root: int, way: Array, far: IntArray, scale: float) -> list[_End]:
+    """The ends that are farther from the pelvis than all around them, then those to the side of the ways there."""
+    out = _out_of(grid, _trunk(grid, root, far, scale))
+    aside, prominence = prominent_peaks(out, grid.graph, _PROMINENCE_MM * scale)
     levels = np.maximum(out[aside] - prominence, _FLOOR_SHARE * out[aside])
     return [_End(int(v), way, way[v] - _FLOOR_MM * scale, False) for v in far] + [
         _End(int(v), out, level, True) for v, level in zip(aside, levels, strict=True) if out[v] > _ASIDE_MM * scale
@@ -109,25 +105,25 @@ def _trunk(grid: LumenGrid, root: int, ends: IntArray, scale: float) -> IntArray
     return np.array(sorted(trunk))
 
 
-def _out_of(grid: LumenGrid, graph: csr_array, trunk: IntArray) -> Array:
+def _out_of(grid: LumenGrid, trunk: IntArray) -> Array:
     """(V,) how far every voxel lies along the lumen beyond the balls inscribed along the trunk."""
-    length = ways_to(grid, graph, trunk, -grid.radius_mm[trunk]).length_mm
+    length = ways_to(grid, trunk, -grid.radius_mm[trunk]).length_mm
     return np.where(np.isfinite(length), length, -1.0)
 
 
-def _cup(grid: LumenGrid, graph: csr_array, end: int, scale: float) -> NDArray[np.bool_]:
+def _cup(grid: LumenGrid, end: int, scale: float) -> NDArray[np.bool_]:
     """(V,) what belongs to the cup of an end: near it, or seen from it across the width of a cup."""
-    way = ways_to(grid, graph, np.array([end]), limit_mm=1.13 * _CUP_WIDTH_MM * scale).length_mm
+    way = ways_to(grid, np.array([end]), limit_mm=1.13 * _CUP_WIDTH_MM * scale).length_mm
     straight = np.linalg.norm(grid.centers_mm - grid.centers_mm[end], axis=1)
     seen = (way < _CUP_WIDTH_MM * scale) & (way < _SEEING * straight)
     return seen | (way < _APART_MM * scale)
 
 
-def _side_floor(grid: LumenGrid, graph: csr_array, end: _End, scale: float) -> NDArray[np.bool_]:
+def _side_floor(grid: LumenGrid, end: _End, scale: float) -> NDArray[np.bool_]:
     """(V,) what is connected with an end to the side above its level, papilla or not."""
     near = np.linalg.norm(grid.centers_mm - grid.centers_mm[end.voxel], axis=1) < 2 * _CUP_DEPTH_MM * scale
     high = np.flatnonzero(near & (end.field >= end.level))
-    label = connected_components(graph[high][:, high], directed=False)[1]
+    label = connected_components(grid.graph[high][:, high], directed=False)[1]
     floor = np.zeros(len(near), bool)
     floor[high[label == label[np.searchsorted(high, end.voxel)]]] = True
     return floor

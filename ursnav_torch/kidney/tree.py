@@ -22,7 +22,7 @@ def central_paths(grid: LumenGrid, root: int) -> IntArray:
     A step costs its length over the square of the radius there, so that paths run along the ridge of the distance
     to the wall, as in TEASAR (Sato et al., Pacific Graphics 2000).
     """
-    steps = grid.graph().tocoo()
+    steps = grid.graph.tocoo()
     radius = grid.radius_mm
     middle = (radius[steps.row] + radius[steps.col]) / 2
     cost = csr_array((steps.data / np.maximum(middle, 1e-3) ** 2, (steps.row, steps.col)), shape=steps.shape)
@@ -53,7 +53,7 @@ def grow_tree(grid: LumenGrid, pelvis_mm: ArrayLike, tips_mm: ArrayLike) -> Cent
 
 def ridge_near(grid: LumenGrid, point_mm: ArrayLike) -> int:
     """The voxel reached from a point (3,) by climbing to ever larger distance from the wall."""
-    radius, graph = grid.radius_mm, grid.graph()
+    radius, graph = grid.radius_mm, grid.graph
     voxel = int(grid.nearest(point_mm)[0])
     while True:
         around = graph.indices[graph.indptr[voxel] : graph.indptr[voxel + 1]]

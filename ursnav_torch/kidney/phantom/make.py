@@ -85,7 +85,7 @@ def _labeled(mesh: trimesh.Trimesh, cups: tuple[Cup, ...], source: str) -> Kidne
 
 def _tips(grid: LumenGrid, cups: tuple[Cup, ...], pelvis_mm: Array) -> Array:
     """(C, 3) in every cup the voxel that is farthest from the pelvis along the lumen and not too near the wall."""
-    way = ways_to(grid, grid.graph(), np.array([ridge_near(grid, pelvis_mm)])).length_mm
+    way = ways_to(grid, np.array([ridge_near(grid, pelvis_mm)])).length_mm
     way[(grid.radius_mm < _TIP_CLEARANCE_MM) | ~np.isfinite(way)] = -1.0
     tips = []
     for cup in cups:
