@@ -68,19 +68,26 @@ def readings(T_kidney_camera: Array, T_kidney_em: Array, rng: np.random.Generato
     return sensor + rng.normal(0, EM_MM / 3**0.5, shape), axis / np.linalg.norm(axis, axis=1, keepdims=True)
 
 
-def simulated_matches(plan: Plan, count: int, seed: int = 0) -> tuple[Array, Array, NDArray[np.bool_]]:
+def simulated_matches(kidney: Kidney, plan: Plan, count: int, seed: int = 0) -> tuple[Array, Array, NDArray[np.bool_]]:
     """True poses (N, 4, 4), matched poses (N, 4, 4), and whether the match is right (N,).
 
     Half of the matches are right, and off by what the localizer is off by on the test kidneys' stills: 0.75 mm and 7.5
-    degrees RMS, with tails (Student's t with 5 degrees of freedom). A quarter are views of another calyx from nearby
-    (one of the five nearest), a quarter any views of another calyx.
+    degrees RMS, with tails (Student's t with 5 degrees of freedom). The others are wrong, a third each: at the same
+    place, but looking at the tip of another calyx; a view of another calyx from nearby (one of the five nearest); any
+    view of another calyx.
     """
     rng = np.random.default_rng(seed)
     T, calyx = plan.T_kidney_camera[plan.calyx >= 0], plan.calyx[plan.calyx >= 0]
-    true, kind = rng.integers(len(T), size=count), rng.choice(["right", "near", "any"], size=count, p=[0.5, 0.25, 0.25])
-    off = rng.standard_t(5, size=(2, count, 3)) / np.sqrt(5 / 3)
-    matched = look_along(T[true, :3, 3] + 0.75 / 3**0.5 * off[0], T[true, :3, 2] + np.radians(7.5) / 2**0.5 * off[1])
-    for i in np.flatnonzero(kind != "right"):
+    true = rng.integers(len(T), size=count)
+    kind = rng.choice(["right", "same", "near", "any"], size=count, p=[0.5, 1 / 6, 1 / 6, 1 / 6])
+    off = rng.standard_t(5, size=(2, count, 3)) / np.sqrt(5 / 3) * [[[0.75 / 3**0.5]], [[np.radians(7.5) / 2**0.5]]]
+    axis = T[true, :3, 2]
+    for i in np.flatnonzero(kind == "same"):
+        other = rng.choice(np.delete(np.arange(len(kidney.calyces)), calyx[true[i]]))
+        way = kidney.tips_mm[other] - T[true[i], :3, 3]
+        axis[i] = way / np.linalg.norm(way)
+    matched = look_along(T[true, :3, 3] + off[0], axis + off[1])
+    for i in np.flatnonzero((kind == "near") | (kind == "any")):
         others = np.flatnonzero(calyx != calyx[true[i]])
         if kind[i] == "near":
             distance = np.linalg.norm(T[others, :3, 3] - T[true[i], :3, 3], axis=1)

@@ -118,7 +118,7 @@ def test_shapes_and_budgets_are_checked() -> None:
 
 def test_direction_tells_matches_from_the_same_place_apart(phantom: Kidney, phantom_lumen: LumenDistance) -> None:
     plan = plan_views(phantom, phantom_lumen, PlanSettings(views_per_calyx=40, passage_views=0))
-    true, matched, right = simulated_matches(plan, 600)
+    true, matched, right = simulated_matches(phantom, plan, 600)
     rng = np.random.default_rng(3)
     registration = identity(rng)
     em, axis = readings(true, registration.T_kidney_em, rng)
