@@ -7,9 +7,11 @@ The scope flies through the phantom by its pilot, at 15 pictures, 40 EM samples 
 recorded, pictures are located in a VID of the phantom, and the record is replayed and located again.
 """
 
+import json
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -66,7 +68,7 @@ def main(arguments: list[str]) -> None:
 def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
     world, locate = _prepare(settings, folder)
     memory: list[float] = []
-    rows: list[tuple[int, dict[str, Any]]] = []
+    rows: list[tuple[int, int]] = []
     with _rig(world, settings) as rig, Recorder(folder / "record", settings) as recorder:
         live = Live(rig, duration_s=60 * settings["minutes"])
         summary = run_session(live, recorder, locate, _watch(memory, rows), keep_results=False)
@@ -81,7 +83,7 @@ def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
     growth = float(np.median(settled[-thirds:]) - np.median(settled[:thirds]))
     report.add("session", "memory", "MB", settled)
     report.add("session", "memory, last third less first", "MB", [growth])
-    again: list[tuple[int, dict[str, Any]]] = []
+    again: list[tuple[int, int]] = []
     begun = time.monotonic()
     replay = Replay(folder / "record", speed=0)
     run_session(replay, None, locate, _watch([], again), keep_results=False)
@@ -118,12 +120,12 @@ def _rig(world: World, settings: dict[str, Any]) -> Rig:
     )
 
 
-def _watch(memory: list[float], rows: list[tuple[int, dict[str, Any]]]) -> Callable[[Event], None]:
-    """Keep every result's row, and once a second the memory in use in MB."""
+def _watch(memory: list[float], rows: list[tuple[int, int]]) -> Callable[[Event], None]:
+    """Keep every result's picture number and its row's checksum, and once a second the memory in use in MB."""
 
     def watch(event: Event) -> None:
         if isinstance(event, Result):
-            rows.append((event.frame, event.row))
+            rows.append((event.frame, zlib.crc32(json.dumps(event.row).encode())))
         elif isinstance(event, Frame) and event.stamp.sequence % 15 == 0:
             memory.append(_resident_mb())
 
