@@ -36,6 +36,13 @@ _STEP_MM = 1.5
 _LEAST_SAMPLES = 12
 #: Samples of the coarse search, and spacing of the places tried on the centerline, mm.
 _COARSE_SAMPLES, _ANCHOR_MM = 40, 3.0
+#: A place counts as outside from 0.3 mm before the wall on (the sensor's noise), costs by its square over 0.5 mm, and
+#: beyond 2 mm linearly, so that a bad stretch of the path doesn't decide.
+_NOISE_MM, _WALL_MM, _SOFT_MM = 0.3, 0.5, 2.0
+#: Distance from the deepest place, linear beyond 1 mm: off the middle costs a little everywhere.
+_MIDDLE_MM = 1.0
+#: Spread of the axis about the branch's direction, and the part of the samples that must follow it (CustusX: 70 %).
+_HEADING_RAD, _HEADING_PART = 1.0, 0.7
 #: A path with a larger part of its samples more than 1 mm outside the lumen does not belong into this kidney.
 _MOST_OUTSIDE = 0.05
 #: What the rule "the tip keeps to the middle" is wrong by, as a part of the lumen's median radius, where the camera's
@@ -70,12 +77,12 @@ class _PathMisfit:
             at = sensor + ahead * axis
             wall, normal = self.field.sample(at)
             arm = at - poses.t[:, None]
-            found.add_distances(arm, (wall + 0.3).clamp(min=0), normal, sigma_mm=0.5, soft_mm=2.0)
+            found.add_distances(arm, (wall + _NOISE_MM).clamp(min=0), normal, _WALL_MM, _SOFT_MM)
             if not self.inside_only:
-                found.add_distances(arm, wall + self.field.deepest_mm, normal, sigma_mm=1.0, soft_mm=1.0)
+                found.add_distances(arm, wall + self.field.deepest_mm, normal, _MIDDLE_MM, _MIDDLE_MM)
         if not self.inside_only:
             branch = self.heading[self.branches.query(sensor.numpy())[1]]
-            found.add_directions(axis, branch, sigma=1.0, keep=0.7)
+            found.add_directions(axis, branch, _HEADING_RAD, _HEADING_PART)
         return found
 
 
