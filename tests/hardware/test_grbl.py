@@ -135,8 +135,8 @@ def test_a_board_that_never_answers_fails_within_the_deadline(board):
     board.answering = False
     begun = time.monotonic()
     with pytest.raises(DeviceTimeoutError, match="switched on"):
-        GrblRobot(board.port.path).connect()
-    assert time.monotonic() - begun < 3.5
+        GrblRobot(board.port.path, boot_s=0.5).connect()
+    assert time.monotonic() - begun < 0.8
 
 
 def test_other_firmware_is_refused():

@@ -20,7 +20,6 @@ from ursnav_torch.hardware.safety import STOPPED, Limits
 from ursnav_torch.hardware.serial_link import SerialLink
 
 SOFT_RESET, STATUS, JOG_CANCEL = b"\x18", b"?", b"\x85"
-BOOT_S = 3.0
 SHORTEST_JOG_S = 0.01
 ERRORS = {
     "2": "bad number format",
@@ -47,6 +46,7 @@ class GrblRobot(Robot):
         horizon_s: longest motion queued on the board.
         watchdog_s: stop after so long without a command.
         deadline_s: how long the board may take to answer.
+        boot_s: how long it may take to start; opening the port restarts many boards.
 
     Raises:
         InputError: a time is out of range (see `Robot`).
@@ -60,9 +60,10 @@ class GrblRobot(Robot):
         horizon_s: float = 0.12,
         watchdog_s: float = 0.5,
         deadline_s: float = 0.4,
+        boot_s: float = 3.0,
     ) -> None:
         super().__init__(limits or Limits(), horizon_s, watchdog_s)
-        self.port, self.drive, self.deadline_s = port, drive or Drive(), deadline_s
+        self.port, self.drive, self.deadline_s, self.boot_s = port, drive or Drive(), deadline_s, boot_s
         self._link: SerialLink | None = None
         self._settings: dict[int, float] = {}
         self._offset_mm = np.zeros(3)
@@ -180,7 +181,7 @@ class GrblRobot(Robot):
     def _reset(self) -> None:
         self._link_or_fail().discard_input()
         self._write(SOFT_RESET)
-        deadline = time.monotonic() + BOOT_S
+        deadline = time.monotonic() + self.boot_s
         while not (line := self._line(deadline)).startswith("Grbl "):
             pass
         if not line.startswith("Grbl 1.1"):
