@@ -29,9 +29,9 @@ def test_a_seed_gives_one_kidney_and_another_seed_another(phantom: Kidney) -> No
 
 
 def test_as_many_calyces_as_wanted_keep_apart() -> None:
-    kidney = make_phantom_kidney(seed=1, calyces=14)
-    assert len(kidney.calyces) == 14
-    distance = np.linalg.norm(kidney.tips_mm[:, None] - kidney.tips_mm, axis=-1) + 99 * np.eye(14)
+    kidney = make_phantom_kidney(seed=2, calyces=12)
+    assert len(kidney.calyces) == 12
+    distance = np.linalg.norm(kidney.tips_mm[:, None] - kidney.tips_mm, axis=-1) + 99 * np.eye(12)
     assert distance.min() > 5.0
 
 

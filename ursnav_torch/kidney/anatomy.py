@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Calyx:
     """A minor calyx.
 
@@ -30,7 +30,7 @@ class Calyx:
     pole: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Centerline:
     """A tree of nodes from the pelvis to the tip of every calyx; a parent comes before its children.
 
@@ -86,7 +86,7 @@ class Centerline:
         return chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Kidney:
     """A collecting system.
 

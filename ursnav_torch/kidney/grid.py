@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 _HALF_NEIGHBORS = [d for d in np.ndindex(3, 3, 3) if d > (1, 1, 1)]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LumenGrid:
     """A grid over the lumen.
 

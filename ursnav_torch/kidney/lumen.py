@@ -20,7 +20,7 @@ VOXEL_MM = 0.5
 OBSERVED_WITHIN_MM = 14.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LumenDistance:
     """Distance along the lumen to every calyx tip.
 

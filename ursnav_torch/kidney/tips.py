@@ -72,7 +72,7 @@ def find_tips(grid: LumenGrid, pelvis_mm: ArrayLike, scale: float) -> Array:
     return np.array(tips)[keep]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _End:
     """An end of the lumen: a peak of a field (V,), the level that its floor reaches, and whether it is to the side."""
 

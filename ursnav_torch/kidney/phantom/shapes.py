@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Outline:
     """How an outline departs from a circle: by its second and third harmonic.
 
@@ -25,7 +25,7 @@ class Outline:
         return 1 + sum(a * np.cos(k * angle - p) for k, a, p in zip((2, 3), self.lobes, self.phases, strict=True))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tube:
     """A bent tube.
 
@@ -44,7 +44,7 @@ class Tube:
     flat_end: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Papilla:
     """A rounded cone pushed into a cup.
 
@@ -61,7 +61,7 @@ class Papilla:
     tilt: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Cup:
     """The end of a minor calyx: a widening cup with one papilla or two.
 
@@ -93,7 +93,7 @@ class Cup:
         return (points_mm - self.base_mm) @ self.axes.T
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """A whole collecting system.
 

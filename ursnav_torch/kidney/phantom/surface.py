@@ -20,7 +20,7 @@ _BUMPS_MM = ((0.45, 4.5), (0.22, 2.0), (0.05, 0.7))
 _NARROWED_MM, _WIDENED_MM = 0.45, 0.9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Field:
     """Signed distance-like values (X, Y, Z), negative in the lumen, on a grid that starts at ``origin_mm`` (3,)."""
 
