@@ -53,8 +53,8 @@ def off_mm(answers: list[Tracked], poses: np.ndarray) -> np.ndarray:
 def test_a_flight_into_a_calyx_is_followed(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
     poses = flight(phantom, 2)
     answers = follow(fresh, renderer, poses)
-    settled = off_mm(answers, poses)[4:]
-    assert {a.state for a in answers[4:]} == {TRACKING}
+    settled = off_mm(answers, poses)[8:]  # within a second
+    assert {a.state for a in answers[8:]} == {TRACKING}
     assert np.median(settled) < 0.6 and settled.max() < 2.0
     last = answers[-1]
     assert last.T_kidney_camera is not None
@@ -105,9 +105,9 @@ def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, rendere
 
 @pytest.mark.slow
 def test_another_kidney_ends_lost(vid: Vid, lens: Camera, plan: PlanSettings, phantom: Kidney) -> None:
-    other = make_phantom_kidney(7, calyces=5)
+    other = make_phantom_kidney(7, calyces=6)
     renderer, tracker = RaycastRenderer(other.mesh, lens), Tracker(vid)
-    poses = np.concatenate([flight(other, c)[::-1] for c in range(5)])
+    poses = np.concatenate([flight(other, c)[::-1] for c in range(6)])
     states = [a.state for a in follow(tracker, renderer, poses)]
     assert states[-1] == LOST
     assert states.count(TRACKING) < 0.3 * len(states)

@@ -72,10 +72,13 @@ def transition(
     turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     reach = unit * np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)
     swing = np.radians(np.hypot(motion.spacing_deg, motion.turn_deg_s * seconds))
-    near = np.exp(2 - np.sqrt(1 + (way / reach) ** 2) - np.sqrt(1 + (turn / swing) ** 2)) @ before.weight
+    step, twist = (np.exp(1 - np.sqrt(1 + x**2)) for x in (way / reach, turn / swing))
+    near = (step * (twist + _WHIRL)) @ before.weight
     jump = 1 - (1 - motion.jump) ** max(seconds, 1e-3)
     return np.log((1 - jump) * near + jump * _JUMP_DENSITY)
 
 
 #: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
 _JUMP_DENSITY = 1e-5
+#: What any turn is worth beside no turn: a scope whose tip is let go whirls round within one picture.
+_WHIRL = 0.01

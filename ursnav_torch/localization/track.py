@@ -107,6 +107,7 @@ class Tracker:
         self._light: Array | None = None
         self._own: _Lead | None = None
         self._rival: _Lead | None = None
+        self._good: Array | None = None  # last pose that was not shaky
         self._doubt, self._deeper = 0.0, 1.0
 
     def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
@@ -128,9 +129,11 @@ class Tracker:
         s, passed = self.settings, self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         found, fit = self._search.weigh(features, self._before, passed, sensor)
         T, _ = place(found, s, self.vid.kidney.scale)
-        refined = self._decide(features, T, found)
+        refined = self._decide(features, T, found, sensor)
         if refined.score > s.well_aligned:
             self._light = refined.light if self._light is None else 0.8 * self._light + 0.2 * refined.light
+        if refined.score >= s.shaky:
+            self._good = refined.T_kidney_camera
         self._remember(found, refined.T_kidney_camera, t_s)
         self._judge(fit, refined.score, passed)
         if self._state != TRACKING:
@@ -142,28 +145,42 @@ class Tracker:
         confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._trust))
         return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
 
-    def _decide(self, features: Features, T: Array, found: Hypotheses) -> Refined:
+    def _decide(self, features: Features, T: Array, found: Hypotheses, sensor: SensorReading | None) -> Refined:
         """Follow the track at hand; where the filter holds another place more probable, follow that beside it, and go
         over to it once it has been the better aligned of the two for some pictures."""
-        s, best = self.settings, found.T_kidney_camera[found.weight.argmax()]
-        if self._own is None:
-            self._own = _Lead(self._aligned(features, [T, best]))
+        if self._own is None or self._state != TRACKING or self._own.refined.score < self.settings.shaky:
+            known = [] if self._own is None else [self._own.refined.T_kidney_camera]
+            known += [] if self._good is None else [self._good]
+            tried = self._apart([*known, T], found)
+            before, self._own = self._own, _Lead(self._aligned(features, tried))
+            if before is not None and not self._near(before.refined.T_kidney_camera, self._own.refined.T_kidney_camera):
+                self._trust = min(self._trust, self.settings.believe - 1.0)
+            self._rival, self._doubt = None, 0.0
             return self._own.refined
         agrees = self._near(T, self._own.refined.T_kidney_camera)
         self._own = _Lead(self._aligned(features, self._around(self._own, T, found)), self._own.refined)
         if agrees or self._near(T, self._own.refined.T_kidney_camera):
             self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
             return self._own.refined
-        before = self._rival
-        if before is not None and self._near(T, before.refined.T_kidney_camera):
-            self._rival = _Lead(self._aligned(features, [before.refined.T_kidney_camera, T]), before.refined)
+        if self._rival is not None and self._near(T, self._rival.refined.T_kidney_camera):
+            self._rival = _Lead(self._aligned(features, [*self._rival.ahead(), T]), self._rival.refined)
         else:
-            self._rival, self._doubt = _Lead(self._aligned(features, [T, best])), 0.0
-        gain = (self._rival.refined.score - self._own.refined.score) / s.better_by
+            self._rival, self._doubt = _Lead(self._aligned(features, self._apart([T], found)[:2])), 0.0
+        gain = (self._rival.refined.score - self._own.refined.score) / self.settings.better_by
+        if sensor is not None:
+            own, rival = (sensor.off(lead.refined.T_kidney_camera[None])[0] for lead in (self._own, self._rival))
+            gain += float(np.clip(own - rival, -1.0, 1.0))
         self._doubt = max(self._doubt + float(np.clip(gain, -1.0, 1.0)), 0.0)
-        if self._doubt >= (s.convinced if self._state == TRACKING else 1.0):
+        if self._doubt >= self.settings.convinced:
             self._own, self._rival, self._doubt = self._rival, None, 0.0
         return self._own.refined
+
+    def _apart(self, tried: list[Array], found: Hypotheses) -> list[Array]:
+        """The poses given and the most probable hypotheses that lie apart from them and each other."""
+        for pose in found.T_kidney_camera[np.argsort(-found.weight)]:
+            if len(tried) < self.settings.tries and not any(self._near(pose, t) for t in tried):
+                tried.append(pose)
+        return tried
 
     def _around(self, own: _Lead, T: Array, found: Hypotheses) -> list[Array]:
         """Where the track may go on: ahead, a step deeper or less deep in turn, and places among the hypotheses nearby.
@@ -213,8 +230,9 @@ class Tracker:
     def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
         """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
         expected = self._smooth.predict(t_s)
-        far = self.settings.near_mm * self.vid.kidney.scale
-        if expected is not None and np.linalg.norm(expected[:3, 3] - T[:3, 3]) > 2 * far:
+        if expected is not None and not self._near(expected, T):
+            if score < self.settings.shaky:
+                return expected
             self._smooth.reset()
         T = self._smooth.update(T, t_s, score)
         if sensor is not None:

@@ -33,6 +33,7 @@ class TrackSettings:
         own_share: probability of the track's own pose beside the views'.
         tries: poses that the track is tried to go on from.
         slide_mm: step in depth that is tried; other poses tried are half as far apart at least.
+        shaky: after an alignment that scores less, the track is looked for anew among all hypotheses.
         better_by: another place whose alignment scores better by this is preferred a full step.
         convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
@@ -57,15 +58,16 @@ class TrackSettings:
     own_share: float = 0.5
     tries: int = 5
     slide_mm: float = 2.0
+    shaky: float = 0.45
     better_by: float = 0.1
     convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
-    own_kidney: tuple[float, float, float] = (-8.0, 2.5, 9.0)
+    own_kidney: tuple[float, float, float] = (-7.5, 2.5, 9.0)
     most: float = 1.0
-    believe: float = 1.0
-    give_up: float = 3.0
-    bound: float = 5.0
+    believe: float = 2.0
+    give_up: float = 4.0
+    bound: float = 8.0
     well_aligned: float = 0.5
 
     def __post_init__(self) -> None:
@@ -89,6 +91,11 @@ class SensorReading:
     position_mm: Array
     offset_camera_mm: Array
     sigma_mm: float
+
+    def off(self, T_kidney_camera: Array, coarse_mm: float = 0.0) -> Array:
+        """(N,) standard deviations by which poses (N, 4, 4), themselves ``coarse_mm`` coarse, miss the reading."""
+        at = T_kidney_camera[:, :3, :3] @ self.offset_camera_mm + T_kidney_camera[:, :3, 3]
+        return np.linalg.norm(at - self.position_mm, axis=1) / np.hypot(self.sigma_mm, coarse_mm)
 
 
 class PlaceSearch:
@@ -142,9 +149,7 @@ class PlaceSearch:
         if before is not None:
             log = transition(before, T, to_tips, seconds, self.motion, self._unit)
         if sensor is not None:
-            at = T[:, :3, :3] @ sensor.offset_camera_mm + T[:, :3, 3]
-            width = np.hypot(sensor.sigma_mm, self.motion.spacing_mm * self._unit)
-            off = np.linalg.norm(at - sensor.position_mm, axis=1) / width
+            off = sensor.off(T, self.motion.spacing_mm * self._unit)
             log = log + np.logaddexp(-0.5 * off**2, _SENSOR_WRONG)
         return log
 
