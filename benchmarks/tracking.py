@@ -5,7 +5,7 @@
     python -m benchmarks.tracking data=DIR vids=DIR        # VIDs built before, DIR/KIDNEY (else built each time)
     python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
 
-A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``, and
+A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``,
 ``_truth.csv`` and an ``_em.csv``. Every video is also tracked in the next kidney's VID, where it must end lost.
 """
 

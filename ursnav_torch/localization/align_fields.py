@@ -109,7 +109,8 @@ class AlignGrid:
     def _masked_blur(self, x: Floats, sigma_px: float) -> Floats:
         """Gaussian mean of (H, W, M) over the pixels inside, as `features.flatten.masked_blur`."""
         if sigma_px not in self._shares:
-            self._shares[sigma_px] = 1 / np.maximum(_blur(self.mask, sigma_px), np.float32(1e-3))[..., None]
+            share = np.maximum(_blur(self.mask, sigma_px), np.float32(1e-3))[..., None]
+            self._shares[sigma_px] = np.asarray(1 / share, np.float32)
         return _blur(x * self.mask[..., None], sigma_px) * self._shares[sigma_px]
 
 
