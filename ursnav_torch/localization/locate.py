@@ -101,7 +101,8 @@ class Localizer:
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture, as `locate` extracts them; the same errors."""
-        return self._extractor.extract(image)
+        with one_thread_an_operation():
+            return self._extractor.extract(image)
 
     def calyces(self, ranking: Ranking) -> Tensor:
         """Calyx indices (K,) that the picture's camera observes from where each ranked view has it, -1 for none.
