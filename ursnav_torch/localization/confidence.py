@@ -78,7 +78,9 @@ class Confidence:
         return cls((0.0, 0.0, 0.0, 1.0, 0.0, 0.0) + (0.0,) * (REFINED_NUMBERS if refined else 0))
 
     def probability(self, numbers: Array) -> float:
-        """Probability in 0..1 that the answer is right, from its evidence numbers (N,)."""
+        """Probability in 0..1 that the answer is right, from its evidence numbers (N,); 0 where one is not finite."""
+        if not np.all(np.isfinite(numbers)):
+            return 0.0
         z = self.weights[0] + float(np.dot(self.weights[1:], numbers))
         return 1 / (1 + math.exp(-max(min(z, 30.0), -30.0)))
 
