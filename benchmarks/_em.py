@@ -71,8 +71,8 @@ def readings(T_kidney_camera: Array, T_kidney_em: Array, rng: np.random.Generato
 def simulated_matches(kidney: Kidney, plan: Plan, count: int, seed: int = 0) -> tuple[Array, Array, NDArray[np.bool_]]:
     """True poses (N, 4, 4), matched poses (N, 4, 4), and whether the match is right (N,).
 
-    Half of the matches are right, and off by what the localizer is off by on the test kidneys' stills: 0.75 mm and 7.5
-    degrees RMS, with tails (Student's t with 5 degrees of freedom). The others are wrong, a third each: at the same
+    Half of the matches are right, and off by 0.75 mm and 7.5 degrees RMS, with tails (Student's t with 5 degrees of
+    freedom). The others are wrong, a third each: at the same
     place, but looking at the tip of another calyx; a view of another calyx from nearby (one of the five nearest); any
     view of another calyx.
     """
