@@ -39,7 +39,7 @@ class TrackSettings:
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
         own_kidney: intercept and weights of the fit and of the alignment's score in the log-odds that a picture shows
-            the VID's kidney and not another; from simulated explorations of phantoms (``benchmarks.tracking``).
+            the VID's kidney and not another; provisional, set by eye and not yet learned from the VID.
         most: a single picture counts for no more than this.
         believe, give_up, bound: the sum of the log-odds from which on a track is believed, below minus which it is
             given up, and which it never exceeds.
