@@ -6,7 +6,7 @@ so the filter finds back by itself after a loss. Only past pictures are used.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -93,10 +93,23 @@ class Tracker:
         self._refiner = Refiner(
             vid, refinement or RefinementSettings(self.settings.tries, iterations=6, fine_rounds=1), self.lumen
         )
+        self._full_refinement = self._refiner.settings
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
         self._extractor = vid.extractor()
         self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
         self.reset()
+
+    def ease(self, level: int) -> None:
+        """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.
+
+        Args:
+            level: 0 spends all that the settings say, 1 aligns one pose in a few steps instead of searching around
+                it, 2 or more also weighs a third of the hypotheses.
+        """
+        full, refinement = self.settings, self._full_refinement
+        few = max(full.hypotheses // 3, 2)
+        self._refiner.settings = replace(refinement, hypotheses=1, iterations=3) if level else refinement
+        self._search.settings = replace(full, hypotheses=few, newcomers=max(few // 4, 1)) if level > 1 else full
 
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
