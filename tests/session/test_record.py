@@ -210,3 +210,14 @@ def test_what_is_no_record_is_refused(tmp_path, record):
 def test_numbers_that_are_none_are_not_written(tmp_path):
     with Recorder(tmp_path / "run") as recorder, pytest.raises(ValueError, match="not JSON compliant"):
         recorder.write(Result(Stamper()(), 0, {"x": float("nan")}))
+
+
+def test_a_replay_may_begin_in_the_middle(events, record):
+    replay = Replay(record, speed=0)
+    begun = events[0].stamp.t_mono_s
+    whole, half = replay.duration_s(), replay.duration_s() / 2
+    assert whole == pytest.approx(max(e.stamp.t_mono_s for e in events) - begun)
+    late = list(replay.events(half))
+    assert 0 < len(late) < len(events)
+    assert all(e.stamp.t_mono_s - begun >= half for e in late)
+    assert [type(e) for e in replay.events()] == [type(e) for e in replay]

@@ -44,15 +44,8 @@ class Replay:
 
     def __iter__(self) -> Iterator[Event]:
         """All events; iterate again to replay again."""
-        self.damaged = 0
         start: tuple[float, float] | None = None
-        last: Frame | None = None
-        for data in self._lines():
-            event = self._event(data, last)
-            if event is None:
-                continue
-            if isinstance(event, Frame):
-                last = event
+        for event in self.events():
             if self.speed:
                 start = start or (event.stamp.t_mono_s, time.monotonic())
                 due = start[1] + (event.stamp.t_mono_s - start[0]) / self.speed
@@ -60,6 +53,27 @@ class Replay:
             yield event
         if self.damaged:
             logger.warning("%s: %d damaged items were left out.", self.path, self.damaged)
+
+    def events(self, from_s: float = 0.0) -> Iterator[Event]:
+        """Events from some seconds after the first one on, as fast as they can be read; no picture before is read."""
+        self.damaged = 0
+        first_s: float | None = None
+        last: Frame | None = None
+        for data in self._lines():
+            t_s = _time(data)
+            first_s = t_s if first_s is None else first_s
+            early = from_s > 0 and t_s is not None and first_s is not None and t_s - first_s < from_s
+            event = None if early else self._event(data, last)
+            if event is None:
+                continue
+            if isinstance(event, Frame):
+                last = event
+            yield event
+
+    def duration_s(self) -> float:
+        """Time from the first event to the last."""
+        times = [t for t in map(_time, self._lines()) if t is not None]
+        return max(times) - times[0] if times else 0.0
 
     def located_frames(self) -> set[int] | None:
         """Numbers of the pictures from which results were computed, None if there are no results at all."""
@@ -126,6 +140,13 @@ class Replay:
                 "update ursnav-torch."
             )
         return dict(about)
+
+
+def _time(data: dict[str, Any]) -> float | None:
+    try:
+        return float(data["stamp"][1])
+    except (TypeError, ValueError, IndexError, KeyError):
+        return None
 
 
 def sequence_gaps(stamps: list[Stamp]) -> int:
