@@ -42,7 +42,7 @@ class LumenGrid:
         """Grid over a closed mesh (mm, normals outward) with voxels of ``voxel_mm``."""
         origin = mesh.vertices.min(axis=0) - 2.5 * voxel_mm
         shape = np.ceil((mesh.vertices.max(axis=0) - origin) / voxel_mm + 2.5).astype(int) + 1
-        inside = _fill((mesh.triangles - origin) / voxel_mm, shape)
+        inside = fill((mesh.triangles - origin) / voxel_mm, shape)
         near = ndimage.binary_dilation(inside, iterations=2)
         wall = -ndimage.distance_transform_edt(~inside) * voxel_mm
         exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near), edge_mm=1.5 * voxel_mm)
@@ -106,7 +106,7 @@ def _graph(index: IntArray, voxel_mm: float) -> csr_array:
     return (half + half.T).tocsr()
 
 
-def _fill(triangles: Array, shape: IntArray) -> NDArray[np.bool_]:
+def fill(triangles: Array, shape: IntArray) -> NDArray[np.bool_]:
     """Voxel centers inside a closed surface (F, 3, 3) in voxel units: crossings counted along z, column by column."""
     triangles = np.add(triangles, (1.234e-5, 2.345e-5, 0.0))  # so that no vertex or edge lies exactly on a column
     low = np.ceil(triangles[..., :2].min(axis=1)).astype(int)

@@ -1,0 +1,34 @@
+"""``kidney=ct``: a CT urography, or a label map of one, becomes a collecting system.
+
+Scans are read with where they lie in the patient (LPS), the lumen is taken from a label or grown through the contrast,
+its surface is meshed, and from there on it is a kidney like any other. Needs the extra ``ct``.
+"""
+
+from ursnav_torch.kidney.ct.load import CtKidney, load_ct_kidney, name_kidney, scan_lumen
+from ursnav_torch.kidney.ct.lumen import Lumen
+from ursnav_torch.kidney.ct.markups import Markup, calyces_from_markups, curves_of, points_of, read_markups
+from ursnav_torch.kidney.ct.read import read_scan
+from ursnav_torch.kidney.ct.scan import Scan
+from ursnav_torch.kidney.ct.surface import lumen_surface
+from ursnav_torch.kidney.ct.synthetic import Patient, place_kidney, synthetic_ct, write_dicom, write_scan
+
+__all__ = [
+    "CtKidney",
+    "Lumen",
+    "Markup",
+    "Patient",
+    "Scan",
+    "calyces_from_markups",
+    "curves_of",
+    "load_ct_kidney",
+    "lumen_surface",
+    "name_kidney",
+    "place_kidney",
+    "points_of",
+    "read_markups",
+    "read_scan",
+    "scan_lumen",
+    "synthetic_ct",
+    "write_dicom",
+    "write_scan",
+]
