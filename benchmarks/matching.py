@@ -44,7 +44,7 @@ _ALWAYS = float("inf")
 _CHI2 = PairCost(compare="chi2")
 OURS = {
     "nearest, Hellinger": Matching(),
-    "nearest, Hellinger, query to view, best 70 %": Matching(method=Nearest(sides="query_to_view", keep=0.7)),
+    "nearest, Hellinger, both sides": Matching(method=Nearest(sides="sum", keep=1.0)),
     "nearest, exact chi2": Matching(cost=_CHI2),
     "Sinkhorn, 20 iterations, all views": Matching(method=Sinkhorn(iterations=20, tolerance=_ALWAYS)),
     "Hungarian, exact best view": Matching(method=Hungarian()),
@@ -179,7 +179,7 @@ def _own_distances(matcher: Matcher, query: Floats, views: Sequence[Floats]) -> 
 def sampling(report: Report, views: int = 200, queries: int = 60) -> None:
     """First-neighbor accuracy and sampling time against the number of points, by way of sampling."""
     dense = _shapes.edge_views(views, 800, seed=3)
-    matching = Matching(method=Nearest(sides="query_to_view", keep=0.7), descriptor=ShapeContext(scale=60.0))
+    matching = Matching(descriptor=ShapeContext(scale=60.0))
     for count in (25, 50, 100, 200):
         for method in METHODS:
             calls = {method: partial(sample, np.round(dense[0]), count, method)}

@@ -29,7 +29,7 @@ CASES = ((1.0, 0, 0.0), (0.7, 0, 0.0), (0.7, 30, 0.0), (0.7, 30, 15.0), (0.5, 30
 SECOND = Matching(
     ShapeContext(scale=60.0),
     PairCost(position_weight=1.0, direction_weight=0.5),
-    Nearest(sides="query_to_view", keep=0.7),
+    Nearest(),
 )
 _SIDE = 250.0
 

@@ -21,7 +21,7 @@ from ursnav_torch.matching import (
     shape_distances,
 )
 
-METHODS = [Nearest(), Nearest(sides="query_to_view", keep=0.7), Sinkhorn(), Hungarian(exact=None)]
+METHODS = [Nearest(), Nearest(sides="sum", keep=1.0), Sinkhorn(), Hungarian(exact=None)]
 EVERY_TERM = PairCost(position_weight=1, direction_weight=0.5)
 
 
@@ -126,7 +126,7 @@ def test_match_returns_the_permutation_it_was_given(method: object) -> None:
 def test_match_numbers_rows_as_given_when_masks_have_holes() -> None:
     view = torch.from_numpy(blob(6, 50)).float()[None]
     mask = torch.rand(1, 50, generator=torch.Generator().manual_seed(0)) < 0.7
-    engine = Matcher(view, mask)
+    engine = Matcher(view, mask, settings=Matching(method=Nearest(keep=1.0)))
     (found,) = engine.match(view[0], [0], mask=mask[0])
     assert found.query.tolist() == found.view.tolist()
     assert sorted(found.query.tolist()) == mask[0].nonzero().flatten().tolist()
@@ -138,7 +138,7 @@ def test_weight_zero_takes_clutter_out() -> None:
     query = torch.from_numpy(np.vstack([view, clutter])).float()
     weights = torch.cat([torch.ones(50), torch.zeros(20)])
     packed = pack([view])
-    engine = Matcher(packed.points, packed.mask, settings=Matching(method=Nearest(sides="query_to_view")))
+    engine = Matcher(packed.points, packed.mask, settings=Matching(method=Nearest(keep=1.0)))
     assert engine.distances(query, weights=weights)[0] < 1e-5
     assert engine.distances(query)[0] > 0.05
 

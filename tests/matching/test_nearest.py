@@ -17,13 +17,13 @@ def test_means_over_each_side() -> None:
         real = COST[:, v, MASK[v]]
         there, back = real.amin(1).mean(), real.amin(0).mean()
         for sides, expected in (("query_to_view", there), ("view_to_query", back), ("sum", there + back)):
-            found = Nearest(sides=sides).reduce(MASKED.clone(), SHARES, EVEN)[v]
+            found = Nearest(sides, keep=1.0).reduce(MASKED.clone(), SHARES, EVEN)[v]
             torch.testing.assert_close(found, expected)
 
 
 def test_weights_count_rows() -> None:
     weights = torch.tensor([0.5, 0.5, 0, 0, 0, 0, 0])
-    found = Nearest(sides="query_to_view").reduce(MASKED.clone(), SHARES, weights)
+    found = Nearest(keep=1.0).reduce(MASKED.clone(), SHARES, weights)
     torch.testing.assert_close(found, MASKED[:2].amin(2).mean(0))
 
 

@@ -11,7 +11,7 @@ def default_matching() -> Matching:
     return Matching(
         ShapeContext(r_inner=5.0, r_outer=40.0, scale=1.0),
         PairCost(position_weight=1.0, direction_weight=1.0),
-        Nearest(sides="query_to_view"),
+        Nearest(keep=1.0),
     )
 
 

@@ -19,6 +19,10 @@ from ursnav_torch.matching.workers import map_chunks, one_thread_an_operation
 
 #: Numbers in one cost chunk, so that it and its views' features stay in the second-level cache.
 _COSTS_A_CHUNK = 250_000
+#: The same where only minima are kept: the smaller the chunk, the faster they are found.
+_MINIMA_A_CHUNK = 100_000
+#: Chunks of minima whose distances are made in one go.
+_CHUNKS_A_PART = 40
 #: The same for exact chi2, whose many short operations a query point want longer rows.
 _CHI2_COSTS_A_CHUNK = 1_000_000
 
@@ -114,9 +118,10 @@ class Matcher:
             return torch.full((len(self),), math.inf)
         if isinstance(self.settings.method, OpenCV):
             return self.settings.method.distances(points, self.points, self.mask)
-        with one_thread_an_operation():
-            queries = self._queries(points, direction, weights)
-        distances = self._reduce(queries, shares)
+        with torch.inference_mode():  # spares the many small operations their bookkeeping
+            with one_thread_an_operation():
+                queries = self._queries(points, direction, weights)
+            distances = self._reduce(queries, shares)
         return distances.amin(0).clamp_min_(0.0)
 
     def distances_one_by_one(self, points: Tensor, direction: Tensor | None, views: Tensor) -> Tensor:
@@ -175,13 +180,21 @@ class Matcher:
         out = torch.empty(len(queries), len(self))
         width = self.mask.shape[1] * len(shares)
 
+        step = max(1, _MINIMA_A_CHUNK // width)
+        keep_minima = method if isinstance(method, Nearest) and self.settings.cost.compare == "hellinger" else None
+
         def work(part: slice) -> None:
             for row, query in zip(out, queries, strict=True):
-                row[part] = method.reduce(self.views.costs(query, part), self._shares[part], shares)
+                if keep_minima is not None:
+                    minima = self.views.minima(query, part, step)
+                    row[part] = keep_minima.combine(*minima, self._shares[part], shares)
+                else:
+                    row[part] = method.reduce(self.views.costs(query, part), self._shares[part], shares)
 
         operations = float(len(queries) * len(self) * width * (self.views.descriptor.size + 10))
         chunk = _COSTS_A_CHUNK if self.settings.cost.compare == "hellinger" else _CHI2_COSTS_A_CHUNK
-        map_chunks(work, len(self), max(1, chunk // width), operations)
+        views_a_part = step * _CHUNKS_A_PART if keep_minima else max(1, chunk // width)
+        map_chunks(work, len(self), views_a_part, operations)
         for row, query in zip(out, queries, strict=True):
             row.masked_fill_(self._empty, math.inf)
             row.copy_(method.finish(row, partial(self._costs_and_mask, query)))
@@ -196,7 +209,7 @@ class Matcher:
         if shares is None or not len(columns):
             nothing = torch.zeros(0, dtype=torch.long)
             return Correspondences(nothing, nothing, torch.zeros(0))
-        method = Nearest() if isinstance(self.settings.method, OpenCV) else self.settings.method
+        method = Nearest(keep=1.0) if isinstance(self.settings.method, OpenCV) else self.settings.method
         costs = [self.views.costs_of(q, torch.tensor([view]))[:, 0, columns] for q in queries]
         found = min((method.pairs(c, shares) for c in costs), key=lambda pairs: float(pairs.cost.mean()))
         return Correspondences(rows[found.query], columns[found.view], found.cost)

@@ -47,6 +47,7 @@ class PreparedViews:
         self._origin = points[mask].mean(0) if bool(mask.any()) else torch.zeros(2)
         position = pair_cost.position_features(points - self._origin, cost)
         self._position = _columns(position) if cost.position_weight > 0 else None
+        self._shares = cost.shares()
         self._local = threading.local()
 
     def query(self, points: Tensor, direction: Tensor | None, weights: Tensor | None) -> PreparedQuery:
@@ -77,16 +78,25 @@ class PreparedViews:
         columns = slice(part.start * width, part.stop * width)
         out = self._buffer(len(query.features), columns.stop - columns.start)
         features = self._features[:, columns]
-        shares = self.cost.shares()
         if self._position is None:
             torch.mm(query.features, features, out=out)
         else:
             torch.mm(query.position, self._position[:, columns], out=out)
             out.clamp_(0.0, 1.0).sqrt_()
-            torch.addmm(out, query.features, features, beta=shares[1], out=out)
+            torch.addmm(out, query.features, features, beta=self._shares[1], out=out)
         if self._histograms is not None:
-            pair_cost.add_chi2(out, self._histograms[:, columns], query.histograms, shares[0])
+            pair_cost.add_chi2(out, self._histograms[:, columns], query.histograms, self._shares[0])
         return out.view(len(out), -1, width)
+
+    def minima(self, query: PreparedQuery, part: slice, step: int) -> tuple[Tensor, Tensor]:
+        """Cheapest cost of each query point (Pq, K) and of each view's point (K, P), `step` views at a time."""
+        of_query, of_views = [], torch.empty(part.stop - part.start, self.mask.shape[1])
+        for start in range(part.start, part.stop, step):
+            views = slice(start, min(start + step, part.stop))
+            costs = self.costs(query, views)
+            of_query.append(costs.amin(2))
+            torch.amin(costs, 0, out=of_views[start - part.start : views.stop - part.start])
+        return torch.cat(of_query, 1), of_views
 
     def costs_of(self, query: PreparedQuery, views: Tensor) -> Tensor:
         """`costs` of single views (K,), in memory of its own: (Pq, K, P)."""
