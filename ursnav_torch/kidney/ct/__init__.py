@@ -11,6 +11,7 @@ from ursnav_torch.kidney.ct.read import read_scan
 from ursnav_torch.kidney.ct.scan import Scan
 from ursnav_torch.kidney.ct.surface import lumen_surface
 from ursnav_torch.kidney.ct.synthetic import Patient, place_kidney, synthetic_ct, write_dicom, write_scan
+from ursnav_torch.kidney.ct.write import segment_scan, write_stl
 
 __all__ = [
     "CtKidney",
@@ -28,7 +29,9 @@ __all__ = [
     "read_markups",
     "read_scan",
     "scan_lumen",
+    "segment_scan",
     "synthetic_ct",
     "write_dicom",
     "write_scan",
+    "write_stl",
 ]

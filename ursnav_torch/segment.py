@@ -1,0 +1,30 @@
+"""Segment a CT urography: the surface of the collecting system, a label map, and a picture to check them by."""
+
+from typing import Any
+
+from ursnav_torch._runner import caller_path, progress, runner
+
+
+@runner("segment", paths=("landmarks",))
+def main(config: Any) -> None:
+    """Instantiate the choice and call `kidney.ct.segment_scan` with it."""
+    from hydra.utils import instantiate
+
+    from ursnav_torch.errors import InputError
+    from ursnav_torch.kidney.ct import load_ct_kidney, segment_scan
+
+    out = caller_path(config.out)
+    chosen = instantiate(config.kidney, _partial_=True, _convert_="all")
+    if chosen.func is not load_ct_kidney:
+        raise InputError("Only scans are segmented: kidney=ct. A mesh or a phantom goes straight into build_vid.")
+    landmarks = None if config.landmarks is None else caller_path(config.landmarks)
+    kidney = segment_scan(
+        out, landmarks=landmarks, overwrite=config.overwrite, progress=progress, **chosen.keywords
+    )
+    poles = ", ".join(f"{c.name} {c.pole}" for c in kidney.calyces)
+    print(f"{kidney.mesh.volume / 1000:.2f} mL, {len(kidney.mesh.faces)} triangles; calyces: {poles}")
+    print(f"Look at {out / 'preview.png'} before using {out / 'lumen.stl'}.")
+
+
+if __name__ == "__main__":
+    main()
