@@ -1,0 +1,68 @@
+"""Hands on a page."""
+
+import time
+
+from ursnav_torch.hardware import Gamepad, OperatorInput
+from ursnav_torch.navigation import Console
+
+
+class Hands(Gamepad):
+    def __init__(self, **values):
+        super().__init__()
+        self.values = values
+
+    def read(self):
+        return OperatorInput(self._stamp(), **self.values)
+
+    def _open(self): ...
+    def _close(self): ...
+
+
+class FakeRobot:
+    def __init__(self):
+        self.stopped = []
+
+    def emergency_stop(self, reason):
+        self.stopped.append(reason)
+
+
+def test_a_press_moves_for_a_moment_only():
+    with Console(None, may_drive=True) as console:
+        console.drive("forward", hold_s=0.05)
+        assert console.read().insertion == 1.0 and console.read().dead_man
+        time.sleep(0.06)
+        assert console.read().insertion == 0.0 and not console.read().dead_man
+
+
+def test_a_long_hold_cannot_be_asked_for():
+    with Console(None, may_drive=True) as console:
+        console.drive("back", hold_s=3600)
+        time.sleep(0.4)
+        assert not console.read().dead_man
+
+
+def test_a_real_robot_is_neither_armed_nor_driven_from_a_page_but_stopped_and_acknowledged():
+    robot = FakeRobot()
+    with Console(Hands(bend_x=0.5, dead_man=True), robot, may_drive=False) as console:
+        console.drive("forward")
+        console.arm()
+        read = console.read()
+        assert (read.insertion, read.bend_x, read.arm) == (0.0, 0.5, False)
+        console.emergency_stop()
+        assert robot.stopped == ["stopped from the page"]
+        assert console.read().emergency_stop and not console.read().emergency_stop
+        console.acknowledge()
+        assert console.read().acknowledge and not console.read().acknowledge
+
+
+def test_a_stop_on_the_device_counts_while_the_page_drives():
+    with Console(Hands(emergency_stop=True), may_drive=True) as console:
+        console.drive("forward")
+        read = console.read()
+        assert read.emergency_stop and read.insertion == 1.0
+
+
+def test_nonsense_from_a_page_moves_nothing():
+    with Console(None, may_drive=True) as console:
+        console.drive("../../etc/passwd")
+        assert not console.read().dead_man

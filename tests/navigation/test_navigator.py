@@ -1,0 +1,185 @@
+"""The loop: pictures in, states out."""
+
+import time
+
+import numpy as np
+import pytest
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.hardware import Frame, Stamp
+from ursnav_torch.localization.track import Tracker
+from ursnav_torch.navigation import Governor, Navigator, Player, hold_navigation
+from ursnav_torch.session import Recorder, Replay, Result
+
+
+@pytest.fixture(scope="module")
+def tracker(vid, phantom_lumen):
+    return Tracker(vid, phantom_lumen)
+
+
+@pytest.fixture
+def navigator(tracker):
+    tracker.reset()
+    tracker.ease(0)
+    return Navigator(tracker, governor=Governor(budget_s=1e9))
+
+
+def flight(vid, calyx, pictures=24):
+    """Poses that hover in front of a calyx."""
+    tip = vid.kidney.tips_mm[calyx]
+    start = vid.T_kidney_camera[np.flatnonzero(vid.calyx == calyx)[0]]
+    for i in range(pictures):
+        T = start.copy()
+        T[:3, 3] = start[:3, 3] + 0.15 * np.sin(i / 3) * (tip - start[:3, 3]) / np.linalg.norm(tip - start[:3, 3])
+        yield T
+
+
+def frames(vid, renderer, calyx=0, pictures=24, first=0):
+    for i, T in enumerate(flight(vid, calyx, pictures)):
+        yield Frame(Stamp(first + i, time.monotonic(), time.time()), renderer.render(T).image), T
+
+
+def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer):
+    with navigator:
+        for frame, T in frames(vid, renderer):  # noqa: B007
+            navigator.take(frame)
+            assert navigator.wait()
+        state = navigator.bus.latest()
+        assert state.tracking == "tracking" and state.frame is frame
+        assert np.linalg.norm(state.T_kidney_camera[:3, 3] - T[:3, 3]) < 2.0
+        assert f"In calyx {vid.calyx_name(0)}, " in state.status and " of 6 inspected." in state.status
+        rows = [r.row for r in navigator.results()]
+    assert len(rows) == 24 == navigator.located and navigator.results() == []
+    last = rows[-1]
+    assert last["calyx"] == vid.calyx_name(0) and last["accepted"]
+    assert 0 <= last["waiting_s"] <= last["latency_s"] and last["tracking_s"] <= last["latency_s"]
+    assert np.allclose([last["x_mm"], last["y_mm"], last["z_mm"]], state.T_kidney_camera[:3, 3])
+    assert navigator.bus.latest().ended
+
+
+def test_pictures_that_come_too_fast_are_passed_over_and_the_newest_is_located(navigator, vid, renderer):
+    shots = [frame for frame, _ in frames(vid, renderer, pictures=30)]
+    with navigator:
+        for frame in shots:
+            navigator.take(frame)
+        assert navigator.wait()
+        assert navigator.bus.latest().frame is shots[-1]
+        assert 0 < navigator.located < 30 and navigator.located + navigator.passed_over == 30
+
+
+def test_a_calyx_can_be_chosen_and_the_choice_taken_back(navigator, vid):
+    with navigator:
+        navigator.choose("C")
+        state = navigator.bus.wait(navigator.bus.latest().version - 1, 2.0)
+        until = time.monotonic() + 5
+        while state.guidance.chosen != "C" and time.monotonic() < until:
+            state = navigator.bus.wait(state.version, 0.5) or state
+        assert state.guidance.route.calyx == "C" and "Next: C, " in state.status
+        with pytest.raises(InputError, match="no calyx 'nowhere'"):
+            navigator.choose("nowhere")
+        navigator.choose("")
+        while state.guidance.chosen and time.monotonic() < until:
+            state = navigator.bus.wait(state.version, 0.5) or state
+        assert state.guidance.chosen == ""
+
+
+def test_a_picture_of_another_size_costs_one_row(navigator, vid, renderer):
+    good = next(frames(vid, renderer))[0]
+    with navigator:
+        navigator.take(Frame(good.stamp, np.zeros((10, 20, 3), np.uint8)))
+        assert navigator.wait()
+        navigator.take(good)
+        assert navigator.wait()
+        rows = [r.row for r in navigator.results()]
+    assert "error" in rows[0] and rows[1]["state"] == "searching"
+
+
+def test_less_effort_costs_less_and_keeps_the_track(tracker, vid, renderer):
+    tracker.reset()
+    seconds, number = {}, 0
+    refine = tracker._refiner.refine
+    for level in (0, 1, 2):
+        tracker.ease(level)
+        tried = []
+        tracker._refiner.refine = lambda *given, tried=tried: tried.append(refine(*given)) or tried[-1]
+        for frame, T in frames(vid, renderer, pictures=8):  # noqa: B007
+            found = tracker.step(frame.image, number / 15)
+            number += 1
+        assert found.state == "tracking" and np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 2.0
+        seconds[level] = sum(r.iterations for r in tried)
+    tracker._refiner.refine = refine
+    assert seconds[1] < 0.6 * seconds[0]
+
+
+@pytest.fixture(scope="module")
+def record(vid, renderer, tmp_path_factory):
+    path = tmp_path_factory.mktemp("navigated") / "record"
+    with Recorder(path) as recorder:
+        for i, T in enumerate(flight(vid, 0, 30)):
+            stamp = Stamp(i, 100 + i / 30, 1e9 + i / 30)
+            recorder.write(Frame(stamp, renderer.render(T).image))
+            recorder.write(Result(stamp, i, {"calyx": "old"}))
+    return path
+
+
+def test_a_replay_as_fast_as_possible_locates_every_picture_and_can_be_recorded(navigator, record, tmp_path):
+    with_out = Recorder(tmp_path / "again")
+    summary = hold_navigation(navigator, Replay(record, speed=0), recorder=with_out)
+    assert (summary.pictures, summary.located, summary.passed_over) == (30, 30, 0)
+    assert "30 pictures, 30 located" in summary.text() and "of its wall seen" in summary.text()
+    rows = Replay(tmp_path / "again").results()
+    assert len(rows) == 30 and all(r.row.get("calyx") != "old" for r in rows)
+
+
+def test_a_record_is_not_written_over_itself(navigator, record):
+    with pytest.raises(InputError, match="cannot be replayed and written at the same time"):
+        hold_navigation(navigator, Replay(record), recorder=Recorder(record))
+
+
+def test_an_observer_that_hangs_or_fails_late_does_not_slow_the_loop(navigator, record):
+    import threading
+    from contextlib import contextmanager
+
+    release = threading.Event()
+
+    @contextmanager
+    def sleeper(desk):
+        thread = threading.Thread(target=release.wait)
+        thread.start()
+        desk.player.stay = False
+        yield
+        release.set()
+        thread.join()
+
+    summary = hold_navigation(navigator, Replay(record, speed=0), observer=sleeper)
+    assert summary.located == 30
+
+
+def test_a_player_pauses_steps_seeks_and_stops(record):
+    sought = []
+    player = Player(Replay(record, speed=0), stay=True, on_seek=lambda: sought.append(1))
+    assert player.duration_s == pytest.approx(29 / 30)
+    events = iter(player)
+    next(events)
+    player.seek(0.5)
+    pictures = [e for e in (next(events), next(events)) if isinstance(e, Frame)]
+    assert sought == [1] and pictures[0].stamp.sequence >= 15
+    player.pause()
+    player.step()
+    assert next(events).stamp.sequence == pictures[0].stamp.sequence + 1 and not player.playing
+    player.seek(0.0)
+    assert next(events).stamp.sequence == 0
+    assert player.position_s == 0.0
+    player.stop()
+    assert list(events) == []
+
+
+def test_at_the_end_of_a_record_a_page_may_go_back(record):
+    player = Player(Replay(record, speed=0), stay=True)
+    events = iter(player)
+    for _ in range(60):
+        last = next(events)
+    assert last.stamp.sequence == 29
+    player.seek(0.9)
+    assert next(events).stamp.sequence >= 27
+    player.stop()

@@ -1,0 +1,55 @@
+"""Painting what was seen, and finding the way to what was not: the work beside tracking."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.localization.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage, Coverage
+from ursnav_torch.localization.route import Route, ScopeLimits, nearest_route, route_to
+from ursnav_torch.navigation.state import Guidance
+from ursnav_torch.navigation.status import turn_words
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+
+#: Every so many views of the VID are asked what they can see; neighbors see the same.
+REACH_STRIDE = 4
+
+
+class Guide:
+    """Keeps the coverage of one exploration and the calyx that is headed for.
+
+    Args:
+        vid: the kidney, its lens, and the views that tell what is within reach.
+        lumen: distances along its lumen.
+        limits: what the scope can do.
+    """
+
+    def __init__(self, vid: Vid, lumen: LumenDistance, limits: ScopeLimits | None = None) -> None:
+        self.kidney, self.limits = vid.kidney, limits or ScopeLimits()
+        self.coverage = Coverage(vid.kidney, vid.camera, lumen, vid.T_kidney_camera[::REACH_STRIDE])
+        self.chosen = -1
+        self._at = vid.kidney.pelvis_mm
+
+    def paint(self, T_kidney_camera: Array, seconds: float) -> None:
+        """Count a picture from a pose (4, 4) that stood for some seconds."""
+        self.coverage.add(T_kidney_camera, seconds)
+
+    def guidance(self, T_kidney_camera: Array | None) -> Guidance:
+        """Coverage and the way on from a pose, or from the last one known."""
+        if T_kidney_camera is not None:
+            self._at = T_kidney_camera[:3, 3]
+        verdicts, chosen = self.coverage.calyces(), self.chosen
+        route = self._route(verdicts, chosen)
+        here = route or route_to(self.kidney, self._at, 0, self.limits)
+        turn = turn_words(T_kidney_camera, route, self.kidney.scale) if route and T_kidney_camera is not None else ""
+        name = self.kidney.calyces[chosen].name if chosen >= 0 else ""
+        return Guidance(here.branches[0], tuple(verdicts), self.coverage.seen(), route, turn, name)
+
+    def _route(self, verdicts: list[CalyxCoverage], chosen: int) -> Route | None:
+        """The way to the calyx chosen, else to the nearest unseen one, else to the nearest not inspected."""
+        if chosen >= 0:
+            return route_to(self.kidney, self._at, chosen, self.limits)
+        left = [i for i, c in enumerate(verdicts) if c.verdict not in (INSPECTED, OUT_OF_REACH)]
+        unseen = [i for i in left if verdicts[i].share < self.coverage.settings.glimpsed]
+        return nearest_route(self.kidney, self._at, unseen or left, self.limits)

@@ -1,0 +1,251 @@
+"""The loop: pictures in, poses, coverage and the way on out; every stage in a thread of its own, newest first."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.hardware import Frame, RobotSample, Stamper, TrackerSample
+from ursnav_torch.localization.route import ScopeLimits
+from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
+from ursnav_torch.localization.track_search import SensorReading
+from ursnav_torch.navigation.bus import Newest, StateBus
+from ursnav_torch.navigation.effort import WORDS, Governor
+from ursnav_torch.navigation.guide import Guide
+from ursnav_torch.navigation.state import Latency, NavigationState
+from ursnav_torch.navigation.status import status_line
+from ursnav_torch.navigation.trail import Trail
+from ursnav_torch.session import Event, Result
+from ursnav_torch.vid import pose_cells
+
+Array = NDArray[np.float64]
+Sensor = Callable[[TrackerSample], SensorReading | None]
+logger = logging.getLogger(__name__)
+
+#: Pictures whose latency is remembered for `Navigator.latencies`; and seconds between lines in the log.
+REMEMBERED, LOG_S = 20_000, 10.0
+#: The way on need not be found anew more often than this.
+GUIDE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A picture to be located: its number among those given, when it was captured by this machine's clock, and the
+    newest EM reading before it."""
+
+    number: int
+    frame: Frame
+    captured_s: float
+    sensor: SensorReading | None
+
+
+class Navigator:
+    """Navigates in one kidney. Use it in a ``with`` block; `take` never waits, results come out on `bus`.
+
+    Args:
+        tracker: what locates pictures.
+        limits: what the scope can do, for the way on.
+        sensor: where an EM sample has the sensor in the kidney frame; None to do without.
+        governor: when to spend less on a picture.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        limits: ScopeLimits | None = None,
+        sensor: Sensor | None = None,
+        governor: Governor | None = None,
+    ) -> None:
+        self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
+        self.guide = Guide(tracker.vid, tracker.lumen, limits)
+        self.located = 0
+        self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
+        self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
+        self._jobs: Newest[_Job] = Newest()
+        self._poses: Newest[tuple[Array | None, float]] = Newest()  # pose and the picture's time
+        self._reading: SensorReading | None = None
+        self._results: deque[Result] = deque(maxlen=1000)
+        self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
+        self._given = self._finished = 0
+        self._forget = self._choose_again = False
+        self._logged_s, self._painting_s = time.monotonic(), 0.0
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def passed_over(self) -> int:
+        """Pictures that were not located because a newer one came."""
+        return self._jobs.replaced
+
+    def take(self, event: Event, live: bool = True) -> None:
+        """Take an event of a session; never waits.
+
+        Args:
+            event: pictures, EM samples and the robot's reports are used.
+            live: whether the picture's stamp is of now; else it counts as captured when it is given.
+        """
+        if isinstance(event, Frame):
+            captured = event.stamp.t_mono_s if live else time.monotonic()
+            self._given += 1
+            self._jobs.put(_Job(self._given, event, captured, self._reading))
+        elif isinstance(event, TrackerSample) and self._sensor is not None:
+            self._reading = self._sensor(event)
+        elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:
+            self.bus.update(lambda state: replace(state, robot=event.state))
+
+    def wait(self, timeout_s: float = 5.0) -> bool:
+        """Wait until the last picture given is located; False when that took too long."""
+        with self._done:
+            return self._done.wait_for(lambda: self._finished == self._given, timeout_s)
+
+    def results(self) -> list[Result]:
+        """The rows made since the last call, for the record; at most the last thousand."""
+        return [self._results.popleft() for _ in range(len(self._results))]
+
+    def choose(self, calyx: str) -> None:
+        """Head for a calyx by its name; blank leaves the choice to navigation.
+
+        Raises:
+            InputError: the kidney has no such calyx.
+        """
+        names = [c.name for c in self.vid.kidney.calyces]
+        if calyx and calyx not in names:
+            raise InputError(f"The kidney has no calyx {calyx!r}; it has {', '.join(names)}.")
+        self.guide.chosen = names.index(calyx) if calyx else -1
+        self._choose_again = True
+
+    def forget_place(self) -> None:
+        """The next picture may be from anywhere: a replay was moved."""
+        self._forget = True
+
+    def __enter__(self) -> Self:
+        self._end.clear()
+        self._show(None)
+        for job, name in ((self._track, "navigation-track"), (self._paint, "navigation-paint")):
+            self._threads.append(threading.Thread(target=job, name=name, daemon=True))
+            self._threads[-1].start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end.set()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+        self._threads.clear()
+        self.bus.update(lambda state: replace(state, ended=True))
+
+    def _track(self) -> None:
+        """Locate the newest picture, publish, again."""
+        while not self._end.is_set():
+            job = self._jobs.take(0.2)
+            if job is None:
+                continue
+            if self._forget:
+                self._forget = False
+                self.tracker.reset()
+            t_s, begun = job.frame.stamp.t_mono_s, time.monotonic()
+            try:
+                tracked = self.tracker.step(job.frame.image, t_s, job.sensor)
+            except UrsnavError as error:
+                self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": str(error)}))
+                logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
+            else:
+                self._publish(job, tracked, begun)
+                self._poses.put((_believed(tracked), t_s))
+            with self._done:
+                self._finished = job.number
+                self._done.notify_all()
+
+    def _publish(self, job: _Job, tracked: Tracked, begun: float) -> None:
+        """Put a picture's pose on the bus and its row among the results."""
+        T, name = tracked.T_kidney_camera, self.vid.calyx_name(tracked.calyx)
+        if T is not None:
+            self._trail.add(T[:3, 3])
+        now, level = time.monotonic(), self._governor.level
+        latency = Latency(begun - job.captured_s, now - begun, now - job.captured_s, self._painting_s)
+
+        def change(state: NavigationState) -> NavigationState:
+            new = replace(
+                state,
+                frame=job.frame,
+                tracking=tracked.state,
+                T_kidney_camera=T,
+                calyx=name,
+                confidence=float(tracked.confidence),
+                path_mm=self._trail.points(),
+                latency=latency,
+                effort=level,
+            )
+            return replace(new, status=_status(new))
+
+        self.bus.update(change)
+        self.located += 1
+        self.latencies.append(latency)
+        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, _row(job, tracked, name, latency, level)))
+        new_level = self._governor.observe(latency.total_s)
+        if new_level != level:
+            self.tracker.ease(new_level)
+            logger.warning("%s", WORDS[new_level] or "The machine keeps up again: everything is done.")
+        if now - self._logged_s >= LOG_S:
+            self._logged_s = now
+            logger.info(
+                "picture %d: waited %.0f ms, tracked in %.0f ms, on the bus after %.0f ms; painted in %.0f ms",
+                job.frame.stamp.sequence,
+                *(1e3 * v for v in (latency.waiting_s, latency.tracking_s, latency.total_s, latency.painting_s)),
+            )
+
+    def _paint(self) -> None:
+        """Count what was seen and find the way on, as often as there is time."""
+        due, last_s, T = 0.0, None, None
+        while not self._end.is_set():
+            found = self._poses.take(0.1)
+            begun = time.monotonic()
+            if found is not None:
+                T, t_s = found
+                if T is not None and last_s is not None:
+                    self.guide.paint(T, t_s - last_s)
+                last_s = t_s
+            if (found is not None and begun >= due) or self._choose_again:
+                self._choose_again = False
+                self._show(T)
+                due = begun + GUIDE_S
+                self._painting_s = time.monotonic() - begun
+
+    def _show(self, T: Array | None) -> None:
+        """Publish coverage and route beside the newest pose."""
+        guidance = self.guide.guidance(T)
+
+        def change(state: NavigationState) -> NavigationState:
+            new = replace(state, guidance=guidance)
+            return replace(new, status=_status(new))
+
+        self.bus.update(change)
+
+
+def _believed(tracked: Tracked) -> Array | None:
+    """The pose, where it was seen and not only expected."""
+    return tracked.T_kidney_camera if tracked.state == TRACKING and np.isfinite(tracked.score) else None
+
+
+def _status(state: NavigationState) -> str:
+    g = state.guidance
+    remark = WORDS[state.effort]
+    return status_line(state.tracking, state.calyx, g.place, state.confidence, g.coverage, g.route, g.turn, remark)
+
+
+def _row(job: _Job, tracked: Tracked, calyx: str, latency: Latency, effort: int) -> dict[str, Any]:
+    """The result's row: as `track` writes it, with latencies."""
+    row: dict[str, Any] = {"t_s": job.frame.stamp.t_mono_s, "state": tracked.state, "accepted": False}
+    if tracked.T_kidney_camera is not None:
+        row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
+        row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}
+    seconds = {"waiting_s": latency.waiting_s, "tracking_s": latency.tracking_s, "latency_s": latency.total_s}
+    return row | {k: round(v, 4) for k, v in seconds.items()} | {"effort": effort}

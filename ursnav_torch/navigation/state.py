@@ -1,0 +1,86 @@
+"""What navigation knows at one moment, frozen, for whoever looks at it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.hardware import Frame
+from ursnav_torch.localization.coverage import CalyxCoverage
+from ursnav_torch.localization.route import Route
+from ursnav_torch.localization.track import SEARCHING
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Where the time from a picture to its pose went, seconds.
+
+    Attributes:
+        waiting_s: from the picture's capture until it was taken up.
+        tracking_s: features, matching, refinement and filter.
+        total_s: from capture until the pose was on the bus.
+        painting_s: coverage and route, which go on beside and hold nobody up; of the last picture painted.
+    """
+
+    waiting_s: float = 0.0
+    tracking_s: float = 0.0
+    total_s: float = 0.0
+    painting_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """What was seen and where to go, as of the last picture painted.
+
+    Attributes:
+        place: name of the branch that the scope is in: ``pelvis``, ``infundibulum to A, B`` or ``calyx A``.
+        coverage: the verdict on every calyx.
+        seen: (P,) which patches of the wall were seen.
+        route: the way to the calyx chosen, else to the nearest that was not inspected; None when all were.
+        turn: the next move along it, in words.
+        chosen: name of the calyx that the operator asked for; blank when navigation proposes one.
+    """
+
+    place: str = ""
+    coverage: tuple[CalyxCoverage, ...] = ()
+    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    route: Route | None = None
+    turn: str = ""
+    chosen: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavigationState:
+    """Everything that observers show.
+
+    Attributes:
+        version: rises by one with every state.
+        frame: the picture that the pose belongs to.
+        tracking: ``tracking``, ``searching`` or ``lost``.
+        T_kidney_camera: (4, 4), or None unless tracking.
+        calyx: name of the calyx observed; blank for none.
+        confidence: probability that this is right.
+        guidance: coverage and route.
+        path_mm: (N, 3) where the scope has been, kidney frame; a jump of the track is one long step.
+        latency: of this picture.
+        effort: 0 for all that tracking can do; more when a slow machine makes it spend less, see `effort.WORDS`.
+        robot: ``disarmed``, ``armed``, ``stopped``, or blank without a robot.
+        status: all of it in one line of plain words.
+        ended: nothing will follow.
+    """
+
+    version: int = 0
+    frame: Frame | None = None
+    tracking: str = SEARCHING
+    T_kidney_camera: Array | None = None
+    calyx: str = ""
+    confidence: float = 0.0
+    guidance: Guidance = field(default_factory=Guidance)
+    path_mm: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    latency: Latency = field(default_factory=Latency)
+    effort: int = 0
+    robot: str = ""
+    status: str = ""
+    ended: bool = False
