@@ -3,6 +3,7 @@
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -25,16 +26,21 @@ class Stamp:
 
 
 class Stamper:
-    """Hands out stamps with consecutive sequence numbers; may be shared by threads."""
+    """Hands out stamps with consecutive sequence numbers; may be shared by threads.
 
-    def __init__(self) -> None:
+    Args:
+        clock: seconds on a monotonic clock; a simulation may run by one of its own.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._next = 0
         self._lock = threading.Lock()
 
     def __call__(self) -> Stamp:
         with self._lock:
             sequence, self._next = self._next, self._next + 1
-        return Stamp(sequence, time.monotonic(), time.time())
+        return Stamp(sequence, self._clock(), time.time())
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,13 @@
 """A pilot for the twin: knows the truth and steers into one calyx after the other, so that a rig can run unattended."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ursnav_torch.geometry import Array
-from ursnav_torch.hardware.base import Gamepad, OperatorInput, Stamp
+from ursnav_torch.hardware.base import Gamepad, OperatorInput, Stamp, Stamper
 from ursnav_torch.hardware.kinematics import Segment
 from ursnav_torch.hardware.twin import Twin
 from ursnav_torch.kidney import Kidney
@@ -35,10 +36,19 @@ class TwinPilot(Gamepad):
         kidney: whose centerline to follow.
         calyces: names to visit in this order; all without it.
         rounds: how often; 0 for ever.
+        clock: seconds by which patience is measured; for a twin that runs faster than the world.
     """
 
-    def __init__(self, twin: Twin, kidney: Kidney, calyces: Sequence[str] | None = None, rounds: int = 1) -> None:
+    def __init__(
+        self,
+        twin: Twin,
+        kidney: Kidney,
+        calyces: Sequence[str] | None = None,
+        rounds: int = 1,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         super().__init__()
+        self._stamp = Stamper(clock)
         self.twin, self.kidney, self.rounds = twin, kidney, rounds
         self._names = [c.name for c in kidney.calyces] if calyces is None else list(calyces)
         self._segment: Segment = twin.scope.drive.segment
