@@ -10,7 +10,7 @@ from ursnav_torch.kidney import Kidney
 CONFIGS = Path(__file__).parents[2] / "configs" / "kidney"
 
 
-@pytest.mark.parametrize("name", ["mesh", "phantom"])
+@pytest.mark.parametrize("name", ["mesh", "phantom", "ct"])
 def test_knobs_and_defaults_are_those_of_the_function(name: str) -> None:
     config = OmegaConf.load(CONFIGS / f"{name}.yaml")
     function = inspect.signature(get_method(config._target_))

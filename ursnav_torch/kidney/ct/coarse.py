@@ -1,6 +1,8 @@
 """The scan at about 2 mm: where contrast lies amid enhanced renal tissue, so where a collecting system may be."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,8 @@ Array = NDArray[np.float64]
 _VOXEL_MM = 2.0
 #: Hounsfield units: soft tissue, renal tissue that took up contrast, and contrast in the lumen.
 SOFT_HU, TISSUE_HU, CONTRAST_HU = (-200, 200), (95, 330), 250
-#: Renal tissue is thicker than this, the blurred edges of bone are thinner.
-_THICK_MM = 4.0
+#: Renal tissue is thicker than this, the blurred edges of bone are thinner; and a kidney has more of it than a rib.
+_THICK_MM, _TISSUE_ML = 4.0, 30.0
 _AROUND_MM = 10.0
 #: Nearer to the middle of the body lies the spine.
 _SPINE_MM = 28.0
@@ -31,7 +33,7 @@ class Coarse:
 
     Attributes:
         scan: it, float32.
-        tissue: (X, Y, Z) bool, thick parts with the density of enhanced renal tissue.
+        tissue: (X, Y, Z) bool, large thick parts with the density of enhanced renal tissue.
         middle_lps: x of the middle of the body.
     """
 
@@ -57,12 +59,15 @@ def coarse_scan(scan: Scan, progress: Progress) -> Coarse:
     soft = body & (values < SOFT_HU[1])
     if soft.mean() < 0.005 or np.ptp(values) < 100:
         raise InputError(
-            f"{scan.source} shows no body: values from {values.min():.0f} to {values.max():.0f} HU, {100 * soft.mean():.1f}"
-            " % of it soft tissue. Is it a CT in Hounsfield units, and the right series?"
+            f"{scan.source} shows no body: values from {values.min():.0f} to {values.max():.0f} HU, "
+            f"{100 * soft.mean():.1f} % of it soft tissue. Is it a CT in Hounsfield units, and the right series?"
         )
     x = small.to_lps(np.argwhere(soft))[:, 0]
     tissue = (values > TISSUE_HU[0]) & (values < TISSUE_HU[1])
     tissue = ndimage.binary_opening(tissue, iterations=max(1, round(_THICK_MM / 2 / _VOXEL_MM)))
+    labels = ndimage.label(tissue)[0]
+    volume = np.bincount(labels.ravel()) * abs(np.linalg.det(small.T_lps_voxel[:3, :3])) / 1000
+    tissue &= volume[labels] > _TISSUE_ML
     return Coarse(small, tissue, float((np.percentile(x, 1) + np.percentile(x, 99)) / 2))
 
 
@@ -109,7 +114,7 @@ def lps_axis(scan: Scan, axis: int) -> Array:
     return np.asarray(x[:, None, None] + y[None, :, None] + z[None, None, :] + row[3])
 
 
-def _pooled(voxels: NDArray[np.generic], block: NDArray[np.int64], advance: object) -> NDArray[np.float32]:
+def _pooled(voxels: NDArray[Any], block: NDArray[np.int64], advance: Callable[[int], None]) -> NDArray[np.float32]:
     """Means over blocks of voxels, a few slices at a time."""
     shape = np.maximum(np.array(voxels.shape) // block, 1)
     nx, ny = shape[0] * block[0], shape[1] * block[1]
@@ -119,5 +124,5 @@ def _pooled(voxels: NDArray[np.generic], block: NDArray[np.int64], advance: obje
         mean = slab.sum(axis=0, dtype=np.int32).astype(np.float32) / slab.shape[0]
         mean = np.add.reduceat(mean, np.arange(0, ny, block[1]), axis=0)
         pooled[:, :, k] = np.add.reduceat(mean, np.arange(0, nx, block[0]), axis=1).T / (block[0] * block[1])
-        advance(int(block[2]))  # type: ignore[operator]
+        advance(int(block[2]))
     return pooled

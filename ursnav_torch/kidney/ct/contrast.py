@@ -104,13 +104,13 @@ def _from_seed(scan: Scan, coarse: Coarse, seed: Array, thresholds: tuple[float,
         grown = _grow(scan, coarse, seed, threshold)
         if grown is None:
             break
-        if grown.fault != "too large":
+        if not grown.fault or (len(thresholds) == 1 and grown.fault != "too large"):
             return _lumen(scan, grown, threshold, seed)
-        faults.append(f"{threshold:.0f}")
+        faults.append(f"{grown.fault} ({grown.volume_ml:.1f} mL) at {threshold:.0f} HU")
     if faults:
         raise InputError(
-            f"Growth from kidney.seed_mm={seed.tolist()} leaves the collecting system (more than {_VOLUME_ML[1]:.0f} "
-            f"mL at {', '.join(faults)} HU), into bone perhaps. Raise kidney.threshold_hu, or give a label map."
+            f"What grows from kidney.seed_mm={seed.tolist()} is no collecting system: {', '.join(faults)}. It may be "
+            "bone. Pick another point, set kidney.threshold_hu (with it growth is taken as it is), or give a label map."
         )
     raise InputError(
         f"kidney.seed_mm={seed.tolist()} is not in contrast: {_brightest(scan, seed):.0f} HU is the most within 4 mm, "
@@ -152,18 +152,19 @@ def _grow(scan: Scan, coarse: Coarse, seed: Array, threshold: float) -> _Grown |
     volume = float(mask.sum() * abs(np.linalg.det(part.T_lps_voxel[:3, :3])) / 1000)
     if volume > _VOLUME_ML[1]:
         return _Grown(box, mask, volume, "too large")
-    share = _tissue_share(part, mask, threshold)
+    share = _tissue_share(part, mask, coarse)
     fault = "too small" if volume < _VOLUME_ML[0] else "no renal tissue" if share < _TISSUE_SHARE else ""
     return _Grown(box, mask, volume, fault)
 
 
-def _tissue_share(part: Scan, mask: Mask, threshold: float) -> float:
-    """Share of what lies 2 to 5 mm around a piece that has the density of renal tissue."""
-    steps = [max(1, round(float(mm / part.spacing_mm.mean()))) for mm in (2.0, 5.0)]
-    inner = ndimage.binary_dilation(mask, iterations=steps[0])
-    shell = ndimage.binary_dilation(inner, iterations=steps[1] - steps[0]) & ~inner
-    values = part.voxels[shell]
-    return float(np.mean((values > TISSUE_HU[0]) & (values < max(threshold, TISSUE_HU[1])))) if shell.any() else 0.0
+def _tissue_share(part: Scan, mask: Mask, coarse: Coarse) -> float:
+    """Share of what lies about 3 mm around a piece that is renal tissue."""
+    steps = max(1, round(float(3.0 / part.spacing_mm.mean())))
+    inner = ndimage.binary_dilation(mask, iterations=steps)
+    rim = part.to_lps(np.argwhere(ndimage.binary_dilation(inner) & ~inner))
+    at = np.rint(coarse.scan.to_voxel(rim)).astype(int)
+    at = np.clip(at, 0, np.array(coarse.tissue.shape) - 1)
+    return float(coarse.tissue[tuple(at.T)].mean()) if len(rim) else 0.0
 
 
 def _lumen(scan: Scan, grown: _Grown, threshold: float, seed: Array) -> Lumen:
@@ -199,7 +200,7 @@ def _lumen(scan: Scan, grown: _Grown, threshold: float, seed: Array) -> Lumen:
 
 
 def _half_height(part: Scan, mask: Mask) -> tuple[NDArray[np.float32], float]:
-    """-1 to 1 and more: how far the density is above the middle between lumen and surroundings nearby; and the lumen's."""
+    """How far the density is above the middle between lumen and surroundings nearby; and the lumen's density."""
     values = part.voxels.astype(np.float32)
     voxels = np.maximum(np.rint(_PEAK_MM / part.spacing_mm), 1).astype(int)
     calm = ndimage.gaussian_filter(values, 0.5)

@@ -60,6 +60,7 @@ def _files_of(sitk: ModuleType, folder: Path, series: str | None) -> tuple[str, 
     found = {uid: reader.GetGDCMSeriesFileNames(str(folder), uid) for uid in reader.GetGDCMSeriesIDs(str(folder))}
     if not found:
         raise InputError(f"{folder} holds no DICOM series. Give the folder that directly contains the slices.")
+    _check_damaged(folder, {name for names in found.values() for name in names})
     if series is not None and series not in found:
         raise InputError(f"{folder} has no series {series}; it has {_listed(sitk, found)}.")
     if series is None and len(found) > 1:
@@ -67,6 +68,15 @@ def _files_of(sitk: ModuleType, folder: Path, series: str | None) -> tuple[str, 
             f"{folder} holds {len(found)} series: {_listed(sitk, found)}. Choose one with kidney.series=UID."
         )
     return tuple(found[series or next(iter(found))])
+
+
+def _check_damaged(folder: Path, readable: set[str]) -> None:
+    """Refuse DICOM files that no series claims: truncated slices would be left out without a word."""
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.name.upper() != "DICOMDIR" and str(path) not in readable:
+            with path.open("rb") as file:
+                if file.read(132)[128:] == b"DICM":
+                    raise InputError(f"{path} is a damaged DICOM file, truncated perhaps; copy the series again.")
 
 
 def _listed(sitk: ModuleType, found: dict[str, tuple[str, ...]]) -> str:

@@ -1,5 +1,7 @@
 """The lumen from a label map that any segmentation program made."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -64,7 +66,7 @@ def _chosen(scan: Scan, counts: dict[int, int], label: int | str | None) -> int:
     return int(value)
 
 
-def _extent(voxels: NDArray[np.generic], value: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _extent(voxels: NDArray[Any], value: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First and last voxel (3,) of a label along each axis."""
     hit = voxels == value
     along = [np.flatnonzero(hit.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]

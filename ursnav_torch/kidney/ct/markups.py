@@ -89,12 +89,11 @@ def calyces_from_markups(
     for name in names:
         if not name.strip() or names.count(name) > 1:
             raise InputError(
-                f"{source}: the point name {name!r} is {'used twice' if name.strip() else 'empty'}; name each calyx once."
+                f"{source}: the point name {name!r} is {'used twice' if name.strip() else 'empty'}; name each calyx "
+                "once."
             )
     pelvis = next((p for n, p in zip(names, points, strict=True) if n.strip().lower() == "pelvis"), None)
-    calyces = tuple(
-        Calyx(n.strip(), p) for n, p in zip(names, points, strict=True) if n.strip().lower() != "pelvis"
-    )
+    calyces = tuple(Calyx(n.strip(), p) for n, p in zip(names, points, strict=True) if n.strip().lower() != "pelvis")
     if not calyces:
         raise InputError(f"{source} names no calyx; place a point list with a point in every calyx.")
     return calyces, pelvis

@@ -102,8 +102,11 @@ def _whole(found: CtKidney) -> Picture:
     picture = cv2.cvtColor((gray * 0.7).astype(np.uint8), cv2.COLOR_GRAY2BGR)
     lumen = apply(inverse(found.T_kidney_lps), found.mesh.vertices) - center
     x, y = ((sign * lumen[:, k] + half) / (2 * half) * (_SIDE_PX - 1) for k, sign in ((0, 1.0), (2, -1.0)))
-    picture[np.clip(np.rint(y), 0, _SIDE_PX - 1).astype(int), np.clip(np.rint(x), 0, _SIDE_PX - 1).astype(int)] = _OUTLINE
-    _write(picture, ["whole scan from the front", "R" + " " * 52 + "L"])
+    picture[np.clip(np.rint(y), 0, _SIDE_PX - 1).astype(int), np.clip(np.rint(x), 0, _SIDE_PX - 1).astype(int)] = (
+        _OUTLINE
+    )
+    _write(picture, ["whole scan from the front", "R"])
+    _write(picture[:, -24:], ["", "L"])
     return np.asarray(picture, np.uint8)
 
 

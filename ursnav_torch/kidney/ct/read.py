@@ -1,4 +1,4 @@
-"""Scans from files: NIfTI, NRRD and the like, or a folder of DICOM slices. Nothing large is read before it is checked."""
+"""Scans from files: NIfTI, NRRD and the like, or a folder of DICOM slices; checked before anything large is read."""
 
 import gzip
 import zlib
@@ -125,7 +125,7 @@ def _direction(image: Any) -> NDArray[np.float64]:
     return np.reshape(image.GetDirection(), (dimension, dimension))[:3, :3]
 
 
-def _voxels(sitk: ModuleType, image: Any) -> NDArray[np.generic]:
+def _voxels(sitk: ModuleType, image: Any) -> NDArray[np.int16]:
     """(X, Y, Z) in 16 bits; rounded where the file has fractions of Hounsfield units."""
     values = sitk.GetArrayViewFromImage(image)
     while values.ndim > 3:

@@ -1,6 +1,7 @@
 """A scan in memory: voxels and where they lie in the patient. Patient axes are DICOM's: LPS, in mm."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,7 @@ class Scan:
         names: name of each label, where the file tells (3D Slicer's .seg.nrrd).
     """
 
-    voxels: NDArray[np.generic]
+    voxels: NDArray[Any]
     T_lps_voxel: Array
     source: str
     names: dict[str, int] = field(default_factory=dict)

@@ -27,11 +27,16 @@ def lumen_surface(lumen: Lumen, faces: int) -> trimesh.Trimesh:
     """
     field, T_voxel_fine = _refined(lumen)
     vertices, triangles, *_ = marching_cubes(np.pad(field, 1, constant_values=field.min()), 0.0)
-    T = lumen.part.T_lps_voxel @ T_voxel_fine
-    mesh = trimesh.Trimesh(apply(T, vertices.astype(float) - 1), triangles, process=True)
+    # All is done along the scan's own axes: however it lies in the patient, the triangles are the same.
+    T_along_voxel = np.diag([*lumen.part.spacing_mm, 1.0])
+    mesh = trimesh.Trimesh(apply(T_along_voxel @ T_voxel_fine, vertices.astype(float) - 1), triangles, process=True)
     if mesh.volume < 0:
         mesh.invert()
-    return _lighter(_smoothed(mesh), faces)
+    mesh = _lighter(_smoothed(mesh), faces)
+    mesh.apply_transform(lumen.part.T_lps_voxel @ np.linalg.inv(T_along_voxel))
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
 
 
 def _refined(lumen: Lumen) -> tuple[NDArray[np.float32], Array]:

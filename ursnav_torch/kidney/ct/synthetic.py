@@ -6,6 +6,7 @@ For tests, benchmarks and trying out: what comes out of the segmentation can be 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -137,7 +138,7 @@ def write_dicom(scan: Scan, folder: Path, series: str = "1.2.826.0.1.3680043.8.4
         writer.Execute(plane)
 
 
-def as_image(scan: Scan) -> object:
+def as_image(scan: Scan) -> Any:
     """The scan as a SimpleITK image."""
     sitk = simple_itk()
     image = sitk.GetImageFromArray(np.ascontiguousarray(scan.voxels.transpose(2, 1, 0)))

@@ -99,5 +99,7 @@ def _label_map(found: CtKidney) -> Scan:
 def _write_landmarks(path: Path, names: tuple[str, ...], points: np.ndarray) -> None:
     """Landmarks as `register` wants them: the EM columns are blank, to be filled in by touching."""
     columns = ("name", "kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")
-    rows = [dict(zip(columns, (name, *point.tolist()), strict=False)) for name, point in zip(names, points, strict=True)]
+    rows = [
+        dict(zip(columns, (name, *point.tolist()), strict=False)) for name, point in zip(names, points, strict=True)
+    ]
     write_csv(path, columns, rows)
