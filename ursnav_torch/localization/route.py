@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -104,6 +105,7 @@ def nearest_route(
     return min(ways, key=lambda way: (not way.feasible, way.length_mm), default=None)
 
 
+@lru_cache(maxsize=64)
 def bend_needed_deg(kidney: Kidney, calyx: int, limits: ScopeLimits) -> float:
     """Largest angle on the way to a calyx between the way's direction and its direction a bending length before.
 
@@ -123,7 +125,8 @@ def bend_needed_deg(kidney: Kidney, calyx: int, limits: ScopeLimits) -> float:
     return float(np.degrees(angle_between(direction(before), direction(stations)).max()))
 
 
-def branch_names(kidney: Kidney) -> list[str]:
+@lru_cache(maxsize=4)
+def branch_names(kidney: Kidney) -> tuple[str, ...]:
     """Name of the branch of every node of the centerline: ``pelvis``, ``infundibulum to A, B`` or ``calyx A``."""
     tree = kidney.centerline
     leads = [{int(c)} if c >= 0 else set() for c in tree.calyx]
@@ -137,7 +140,7 @@ def branch_names(kidney: Kidney) -> list[str]:
             return "pelvis"
         return f"calyx {names[0]}" if len(names) == 1 else f"infundibulum to {', '.join(names)}"
 
-    return [name(calyces) for calyces in leads]
+    return tuple(name(calyces) for calyces in leads)
 
 
 def _node_at(kidney: Kidney, position_mm: Array) -> int:
