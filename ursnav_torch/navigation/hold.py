@@ -95,43 +95,47 @@ def hold_navigation(
                 )
             player = Player(hardware, observer is not None, navigator.forget_place)
             source: Live | Player = player
+            live = False
             desk = Desk(navigator, None, player, player.stop)
         else:
             rig = hardware(world=world)
             console = Console(rig.gamepad, rig.robot, rig.twin is not None, observer is not None)
             rig = stack.enter_context(replace(rig, gamepad=console))
-            source, output = Live(rig, duration_s), rig.output
+            source, output, live = Live(rig, duration_s), rig.output, rig.twin is None
             desk = Desk(navigator, console, None, source.stop)
         if recorder:
             stack.enter_context(recorder)
         stack.enter_context(navigator)
         if observer:
             stack.enter_context(observer(desk))
-        return _run(navigator, source, _keep(recorder, output), duration_s)
+        return _run(navigator, source, _keep(recorder, output), duration_s, live)
 
 
 def _run(
-    navigator: Navigator, source: Live | Player, keep: Callable[[Event], None], duration_s: float
+    navigator: Navigator, source: Live | Player, keep: Callable[[Event], None], duration_s: float, live: bool
 ) -> NavigationSummary:
     """Work through a session."""
-    summary, live = NavigationSummary(), isinstance(source, Live)
+    summary = NavigationSummary()
     first_s: float | None = None
     begun = time.monotonic()
     exhaustive = isinstance(source, Player) and source.replay.speed == 0
-    for event in source:
-        if isinstance(event, Result):
-            continue  # of the session that is replayed; made anew
-        t_s = event.stamp.t_mono_s
-        first_s = t_s if first_s is None else first_s
-        keep(event)
-        navigator.take(event, live)
-        if isinstance(event, Frame):
-            summary.pictures += 1
-            if exhaustive:
-                navigator.wait()
-        _collect(navigator, keep, summary)
-        if isinstance(source, Player) and 0 < duration_s <= t_s - first_s:
-            source.stop()
+    try:
+        for event in source:
+            if isinstance(event, Result):
+                continue  # of the session that is replayed; made anew
+            t_s = event.stamp.t_mono_s
+            first_s = t_s if first_s is None else first_s
+            keep(event)
+            navigator.take(event, live)
+            if isinstance(event, Frame):
+                summary.pictures += 1
+                if exhaustive:
+                    navigator.wait()
+            _collect(navigator, keep, summary)
+            if isinstance(source, Player) and 0 < duration_s <= t_s - first_s:
+                source.stop()
+    except KeyboardInterrupt:  # the usual end of a session without a page
+        source.stop()
     navigator.wait()
     _collect(navigator, keep, summary)
     summary.seconds = time.monotonic() - begun

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError, UrsnavError
-from ursnav_torch.hardware import Frame, RobotSample, Stamper, TrackerSample
+from ursnav_torch.hardware import Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.localization.route import ScopeLimits
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
 from ursnav_torch.localization.track_search import SensorReading
@@ -88,8 +88,9 @@ class Navigator:
         """Take an event of a session; never waits.
 
         Args:
-            event: pictures, EM samples and the robot's reports are used.
-            live: whether the picture's stamp is of now; else it counts as captured when it is given.
+            event: pictures, EM samples, the robot's reports and devices' warnings are used.
+            live: whether a picture's stamp tells when it was captured; else (a replay, a simulation that draws after
+                the stamp) it counts as captured when it is given.
         """
         if isinstance(event, Frame):
             captured = event.stamp.t_mono_s if live else time.monotonic()
@@ -99,6 +100,8 @@ class Navigator:
             self._reading = self._sensor(event)
         elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:
             self.bus.update(lambda state: replace(state, robot=event.state))
+        elif isinstance(event, Note) and event.level != "info":
+            self.bus.update(lambda state: replace(state, notice=event.text))
 
     def wait(self, timeout_s: float = 5.0) -> bool:
         """Wait until the last picture given is located; False when that took too long."""

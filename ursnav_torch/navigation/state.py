@@ -67,6 +67,7 @@ class NavigationState:
         latency: of this picture.
         effort: 0 for all that tracking can do; more when a slow machine makes it spend less, see `effort.WORDS`.
         robot: ``disarmed``, ``armed``, ``stopped``, or blank without a robot.
+        notice: the last warning of a device.
         status: all of it in one line of plain words.
         ended: nothing will follow.
     """
@@ -82,5 +83,6 @@ class NavigationState:
     latency: Latency = field(default_factory=Latency)
     effort: int = 0
     robot: str = ""
+    notice: str = ""
     status: str = ""
     ended: bool = False

@@ -64,7 +64,7 @@ class Overview:
 
 def draw_overview(kidney: Kidney, side_px: int = 360, from_side: bool = False) -> Overview:
     """A kidney seen across its flattest direction, or from the side; its calyces are named at their tips."""
-    T = _standpoint(kidney.mesh, from_side)
+    T = standpoint(kidney.mesh, from_side)
     extent = np.abs(apply(T, kidney.mesh.vertices)[:, :2]).max()
     overview = Overview(np.full((side_px, side_px, 3), 255, np.uint8), T, 0.46 * side_px / float(extent))
     picture = _translucent(kidney.mesh, overview)
@@ -75,8 +75,8 @@ def draw_overview(kidney: Kidney, side_px: int = 360, from_side: bool = False) -
     return Overview(picture, T, overview.px_per_mm)
 
 
-def _standpoint(mesh: trimesh.Trimesh, from_side: bool) -> Array:
-    """T_view_kidney: the kidney's longest direction upright, its flattest one (or the middle one) away."""
+def standpoint(mesh: trimesh.Trimesh, from_side: bool) -> Array:
+    """T_view_kidney (4, 4): the kidney's longest direction upright, its flattest one (or the middle one) away."""
     center = mesh.vertices.mean(axis=0)
     _, _, axes = np.linalg.svd(np.asarray(mesh.vertices - center), full_matrices=False)
     down = -axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])

@@ -1,0 +1,36 @@
+"""Navigate live: the scope's place, what was seen and the way on, on a page in the browser."""
+
+from typing import Any
+
+from ursnav_torch._runner import caller_path, runner
+from ursnav_torch.teleop import PATHS
+
+
+@runner("navigate", paths=(*PATHS, "em_to_kidney"))
+def main(config: Any) -> None:
+    """Instantiate the choices and call `viewer.navigate_vid`."""
+    from hydra.utils import instantiate
+    from omegaconf import OmegaConf
+
+    from ursnav_torch.vid import load_vid
+    from ursnav_torch.viewer.navigated import navigate_vid
+
+    plain: Any = OmegaConf.to_container(config, resolve=True)
+    summary = navigate_vid(
+        load_vid(caller_path(config.vid)),
+        instantiate(config.hardware),
+        make_renderer=instantiate(config.rendering),
+        observer=instantiate(config.viewer) if config.viewer else None,
+        out=None if config.out is None else caller_path(config.out),
+        duration_s=config.seconds,
+        em_to_kidney=None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
+        sensor_offset_mm=list(config.sensor_offset_mm),
+        latency_s=config.latency_s,
+        overwrite=config.overwrite,
+        config=plain,
+    )
+    print(summary)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""The page of a live session: an observer that looks at the newest state a few times a second."""
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ursnav_torch.navigation import Desk, NavigationState
+from ursnav_torch.viewer.page.controls import ReplayControls, add_end, add_robot
+from ursnav_torch.viewer.page.pictures import Pictures
+from ursnav_torch.viewer.page.scene import KidneyScene
+from ursnav_torch.viewer.page.server import on_press, start_server, stop_server
+from ursnav_torch.viewer.page.words import confidence_html, coverage_html, latency_html, robot_html, status_html
+
+logger = logging.getLogger(__name__)
+
+#: Looks at the state a second; the wall is painted anew and the path drawn this often, s.
+UPDATES_HZ, PAINT_S = 8.0, 1.0
+
+
+class LivePage:
+    """Shows a desk's navigation on a page; closing it changes nothing, opening it again shows everything.
+
+    Args:
+        desk: what to show and steer.
+        host, port: where to listen; this computer only.
+
+    Raises:
+        InputError: another address than this computer's, or a port that is taken.
+        MissingExtraError: viser is not installed.
+    """
+
+    def __init__(self, desk: Desk, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self.desk, self._vid = desk, desk.navigator.vid
+        self.server = start_server(host, port, "ursnav")
+        self.url = f"http://127.0.0.1:{self.server.get_port()}"
+        self._pictures = Pictures(self._vid)
+        self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
+        self._end = threading.Event()
+        self._painted_s, self._located, self._rate = 0.0, (time.monotonic(), 0), 0.0
+        self._shown: Any = None
+        self._add_left()
+        self._add_right()
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread.start()
+
+    def choose(self, calyx: str) -> None:
+        """A calyx was clicked: route there and show its views; clicked again, navigation proposes the next."""
+        chosen = self.desk.navigator.bus.latest().guidance.chosen
+        self.desk.navigator.choose("" if calyx == chosen else calyx)
+        names = [c.name for c in self._vid.kidney.calyces]
+        self._views.image = self._pictures.calyx(names.index(calyx))
+        self._views.label = f"views of calyx {calyx}"
+
+    def close(self) -> None:
+        """Take the page away."""
+        self._end.set()
+        self._thread.join(timeout=5.0)
+        stop_server(self.server)
+
+    def _add_left(self) -> None:
+        """The panel with what must always be in reach."""
+        gui = self.server.gui
+        panel = gui.add_panel()
+        self._robot: Any = None
+        self._replay: ReplayControls | None = None
+        with panel.add_tab("Session"):
+            self._status = gui.add_html(status_html("Starting."))
+            self._confidence = gui.add_html("")
+            if self.desk.player is not None:
+                self._replay = ReplayControls(self.server, self.desk.player)
+            if self.desk.console is not None and self.desk.console.has_robot:
+                self._robot = add_robot(self.server, self.desk.console)
+            add_end(self.server, self.desk)
+        panel.dock_left()
+        panel.set_width(270)
+
+    def _add_right(self) -> None:
+        """The panel with pictures, calyces and figures."""
+        gui = self.server.gui
+        gui.set_panel_label("Scope and kidney")
+        nothing = self._pictures.pair(None, None)
+        label = "what the scope sees, with its edges; what it should see there"
+        self._pair = gui.add_image(nothing, label=label, format="jpeg", jpeg_quality=85)
+        self._coverage = gui.add_html("")
+        with gui.add_folder("Go to calyx"):
+            group = gui.add_button_group("", [c.name for c in self._vid.kidney.calyces])
+            on_press(group)(lambda: self.choose(str(group.value)))
+            on_press(gui.add_button("Propose the next one"))(lambda: self.desk.navigator.choose(""))
+            self._views = gui.add_image(self._pictures.calyx(0), label="views of the first calyx", format="jpeg")
+        self._latency = gui.add_html("")
+
+    def _run(self) -> None:
+        version = -1
+        while not self._end.wait(1 / UPDATES_HZ):
+            state = self.desk.navigator.bus.latest()
+            if self._replay:
+                self._replay.show()
+            if state.version == version or not self.server.get_clients():
+                continue
+            version = state.version
+            try:
+                self._show(state)
+            except Exception:  # whatever a picture does to the page, navigation and its controls stay
+                logger.exception("The page could not be brought up to date.")
+
+    def _show(self, state: NavigationState) -> None:
+        now, g = time.monotonic(), state.guidance
+        self._count(now)
+        if state.frame is not None and state.frame is not self._shown:
+            self._shown = state.frame
+            self._pair.image = self._pictures.pair(state.frame.image, state.T_kidney_camera)
+        with self.server.atomic():
+            self._status.content = status_html(state.status)
+            self._confidence.content = confidence_html(state)
+            self._latency.content = latency_html(state, self._rate)
+            self._coverage.content = coverage_html(g.coverage, g.chosen)
+            if self._robot is not None:
+                self._robot.content = robot_html(state)
+            plain = self._pictures.scope(state.frame.image, edges=False) if state.frame is not None else None
+            self._scene.show_camera(state.T_kidney_camera, plain)
+            self._scene.verdicts(g.coverage)
+        if now - self._painted_s >= PAINT_S:
+            self._painted_s = now
+            self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, g.seen)
+            self._scene.show_path(state.path_mm)
+            self._scene.show_route(g.route.points_mm if g.route else None)
+
+    def _count(self, now: float) -> None:
+        """Poses a second, over the last two seconds."""
+        since, before = self._located
+        if now - since >= 2.0:
+            located = self.desk.navigator.located
+            self._rate, self._located = (located - before) / (now - since), (now, located)
+
+
+@contextmanager
+def web_page(desk: Desk, host: str = "127.0.0.1", port: int = 8080) -> Iterator[LivePage]:
+    """A `LivePage` for as long as the session runs; says where it is."""
+    page = LivePage(desk, host, port)
+    print(f"page: {page.url}", file=sys.stderr, flush=True)
+    try:
+        yield page
+    finally:
+        page.close()

@@ -1,0 +1,60 @@
+"""The page's texts; every one is plain HTML made from values that are escaped."""
+
+import html
+from collections.abc import Sequence
+
+from ursnav_torch.localization.coverage import CalyxCoverage
+from ursnav_torch.navigation import WORDS, NavigationState, confidence_words
+from ursnav_torch.viewer.page.scene import VERDICTS
+
+
+def status_html(status: str) -> str:
+    """The status line, large."""
+    return (
+        '<div class="ursnav-status" role="status" style="font-size:1.15em;font-weight:600;line-height:1.3;'
+        f'padding:.5em .8em">{html.escape(status)}</div>'
+    )
+
+
+def confidence_html(state: NavigationState) -> str:
+    """The confidence in words and as a bar."""
+    if state.T_kidney_camera is None:
+        return '<div class="ursnav-confidence" style="padding:0 .8em">no place known</div>'
+    share = max(0.0, min(1.0, state.confidence))
+    color = _css(VERDICTS["inspected" if share >= 0.9 else "glimpsed" if share >= 0.6 else "unseen"])
+    return (
+        f'<div class="ursnav-confidence" style="padding:0 .8em">{confidence_words(share)} ({share:.0%})'
+        f'<div style="height:6px;background:#ddd;border-radius:3px"><div style="height:6px;border-radius:3px;'
+        f'width:{share:.0%};background:{color}"></div></div></div>'
+    )
+
+
+def robot_html(state: NavigationState) -> str:
+    """How the robot stands, and the last thing that went wrong."""
+    notice = f'<div style="color:#a33">{html.escape(state.notice)}</div>' if state.notice else ""
+    return f'<div class="ursnav-robot" style="padding:0 .8em">robot: {state.robot or "not heard of yet"}{notice}</div>'
+
+
+def coverage_html(coverage: Sequence[CalyxCoverage], chosen: str) -> str:
+    """One line a calyx: how much of its wall was seen."""
+    rows = "".join(
+        f'<tr{" style=background:#e8f0fe" if c.calyx == chosen else ""}><td style="color:{_css(VERDICTS[c.verdict])}">'
+        f"&#9679; <b>{html.escape(c.calyx)}</b></td><td>{html.escape(c.pole)}</td><td>{c.verdict}</td>"
+        f'<td style="text-align:right">{c.share:.0%}</td></tr>'
+        for c in coverage
+    )
+    return f'<table class="ursnav-coverage" style="width:100%;padding:0 .8em;font-size:.9em">{rows}</table>'
+
+
+def latency_html(state: NavigationState, rate: float) -> str:
+    """Where the time goes, and what is left out for it."""
+    t = state.latency
+    stages = f"waited {1e3 * t.waiting_s:.0f}, tracked {1e3 * t.tracking_s:.0f}, painted {1e3 * t.painting_s:.0f} ms"
+    return (
+        '<div class="ursnav-latency" style="padding:0 .8em;font-size:.85em;color:#555">'
+        f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}</div>"
+    )
+
+
+def _css(color: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*color)
