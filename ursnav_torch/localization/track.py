@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import Features
-from ursnav_torch.geometry import inverse, rotation_angle
+from ursnav_torch.geometry import inverse, rotation_angle, transform_from
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings
 from ursnav_torch.localization.refine import Refined, RefinementSettings, Refiner
@@ -60,7 +61,11 @@ class _Lead:
     def ahead(self) -> list[Array]:
         """Where the next pose may be: as far on as the last step led, or here."""
         here = self.refined.T_kidney_camera
-        return [here] if self.before is None else [here @ inverse(self.before.T_kidney_camera) @ here, here]
+        if self.before is None:
+            return [here]
+        on = here @ inverse(self.before.T_kidney_camera) @ here
+        R = Rotation.from_matrix(on[:3, :3]).as_matrix()  # else rounding errors double from picture to picture
+        return [transform_from(R, on[:3, 3]), here]
 
 
 class Tracker:
