@@ -9,12 +9,13 @@ from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.kidney.anatomy import Calyx
 from ursnav_torch.kidney.ct.load import CtKidney
 from ursnav_torch.kidney.ct.scan import Scan
+from ursnav_torch.kidney.paint import paint_surface, write_lines
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 _SIDE_PX = 440
-_OUTLINE, _INK, _SURFACE = (60, 60, 255), (255, 255, 255), np.array([120.0, 190.0, 240.0])
+_OUTLINE, _INK, _SURFACE = (60, 60, 255), (255, 255, 255), (120, 190, 240)
 #: Image axes (right, down) of each view, and the axis along which it looks: patient right is on the left of a picture.
 _VIEWS = {
     "axial": ((0, 1.0), (1, 1.0), 2),
@@ -30,7 +31,7 @@ def preview(found: CtKidney, calyces: tuple[Calyx, ...] = ()) -> Picture:
     panels += [_slice(found, around, name) for name in _VIEWS]
     panels.append(_shape(found, calyces))
     blank = np.full_like(panels[0], 24)
-    _write(blank, [found.scan.source[:44], *(f"{k}: {v}"[:44] for k, v in found.lumen.about.items())])
+    write_lines(blank, [found.scan.source[:44], *(f"{k}: {v}"[:44] for k, v in found.lumen.about.items())])
     rows = [np.hstack(panels[:3]), np.hstack([*panels[3:], blank])]
     return np.asarray(np.vstack(rows), np.uint8)
 
@@ -66,7 +67,7 @@ def _slice(found: CtKidney, around: tuple[Array, float], name: str) -> Picture:
     inside = _sampled(Scan(lumen.field, part.T_lps_voxel, ""), points, outside=-1) > 0
     contours = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]
     cv2.drawContours(picture, contours, -1, _OUTLINE, 1, cv2.LINE_AA)
-    _write(picture, [f"{name}, {'xyz'[axis]} = {through[axis]:.1f} mm LPS"])
+    write_lines(picture, [f"{name}, {'xyz'[axis]} = {through[axis]:.1f} mm LPS"])
     return np.asarray(picture, np.uint8)
 
 
@@ -105,8 +106,8 @@ def _whole(found: CtKidney) -> Picture:
     picture[np.clip(np.rint(y), 0, _SIDE_PX - 1).astype(int), np.clip(np.rint(x), 0, _SIDE_PX - 1).astype(int)] = (
         _OUTLINE
     )
-    _write(picture, ["whole scan from the front", "R"])
-    _write(picture[:, -24:], ["", "L"])
+    write_lines(picture, ["whole scan from the front", "R"])
+    write_lines(picture[:, -24:], ["", "L"])
     return np.asarray(picture, np.uint8)
 
 
@@ -117,22 +118,13 @@ def _shape(found: CtKidney, calyces: tuple[Calyx, ...]) -> Picture:
     mesh = trimesh.Trimesh(apply(T_lps_kidney, found.mesh.vertices), found.mesh.faces, process=False)
     scale = (_SIDE_PX - 1) / (2 * half)
     picture = np.full((_SIDE_PX, _SIDE_PX, 3), 24, np.uint8)
-    light = np.clip(-mesh.face_normals[:, 1], 0, 1)
-    pixels = np.rint(((mesh.triangles - center)[..., [0, 2]] * (1, -1) + half) * scale).astype(np.int32)
-    front = np.flatnonzero(light > 0)
-    for face in front[np.argsort(-mesh.triangles_center[front, 1], kind="stable")]:
-        color = (_SURFACE * (0.25 + 0.75 * light[face])).tolist()
-        cv2.fillConvexPoly(picture, pixels[face], color)
+    T_view_lps = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from the front
+    T_view_lps[:3, 3] = -T_view_lps[:3, :3] @ center
+    paint_surface(picture, mesh, T_view_lps, scale, _SURFACE)
     for calyx in calyces:
         x, _, z = apply(T_lps_kidney, calyx.tip_mm) - center
         at = (int((x + half) * scale), int((half - z) * scale))
         cv2.circle(picture, at, 4, _OUTLINE, -1, cv2.LINE_AA)
         cv2.putText(picture, calyx.name, (at[0] + 6, at[1] - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
-    _write(picture, [f"surface from the front, {found.mesh.volume / 1000:.2f} mL"])
+    write_lines(picture, [f"surface from the front, {found.mesh.volume / 1000:.2f} mL"])
     return picture
-
-
-def _write(picture: Picture, lines: list[str]) -> None:
-    for i, line in enumerate(lines):
-        text = line.encode("ascii", "replace").decode()
-        cv2.putText(picture, text, (8, 20 + 20 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
