@@ -80,7 +80,8 @@ def choose_pictures(
     """Rows of the drive (M,) at which the operator takes pictures, and the calyx (M,) that each observes.
 
     Of the poses that observe a calyx from the distances and within the angle of `ProtocolSettings`, those in the
-    middle of as many equal parts, from far to near, as there are pictures to take; fewer where there are fewer poses.
+    middle of as many equal parts, from far to near, as there are pictures to take. Where too few are within the angle,
+    the best aimed ones do.
     """
     T = drive.T_kidney_camera
     calyx, away = observed_calyx(T, kidney, lumen), lumen.to_calyces(T[:, :3, 3])
@@ -88,8 +89,9 @@ def choose_pictures(
     low, high = settings.nearest_mm * kidney.scale, settings.farthest_mm * kidney.scale
     rows, names = [], []
     for c in range(len(kidney.calyces)):
-        aimed = (calyx == c) & (aside[:, c] <= np.radians(settings.aim_deg))
-        able = np.flatnonzero(aimed & (away[:, c] >= low) & (away[:, c] <= high))
+        able = np.flatnonzero((calyx == c) & (away[:, c] >= low) & (away[:, c] <= high))
+        aimed = int(np.sum(aside[able, c] <= np.radians(settings.aim_deg)))
+        able = able[np.argsort(aside[able, c], kind="stable")][: max(aimed, settings.pictures_per_calyx)]
         able = able[np.argsort(-away[able, c], kind="stable")]
         parts = np.array_split(able, settings.pictures_per_calyx)
         chosen = [int(part[len(part) // 2]) for part in parts if len(part)]

@@ -19,14 +19,15 @@ _GREEN, _ORANGE, _TRUE, _FOUND = (60, 230, 60), (40, 160, 255), (60, 140, 40), (
 
 
 def strip(o: Outcome, series: Matched, i: int, renderer: Renderer) -> Picture:
-    """One picture: itself, its edges, the matched view with its edges, and a drawing from where it was truly taken."""
+    """One picture: itself, its edges, the matched view with its edges, and drawings from the pose found and true."""
     picture, location = series.pictures.read(i), series.locations[i]
     true = renderer.render(series.pictures.T_kidney_camera[i]).image
     if location is None:
         blank = np.full(picture.shape, 235, np.uint8)
-        return _row([picture, blank, blank, true])
+        return _row([picture, blank, blank, blank, true])
     seen = draw_edges(picture, location.features.edges, _GREEN)
-    return _row([picture, seen, view_with_edges(o.vid, location.view), true])
+    found = renderer.render(location.T_kidney_camera).image
+    return _row([picture, seen, view_with_edges(o.vid, location.view), found, true])
 
 
 def view_with_edges(vid: Vid, view: int) -> Picture:

@@ -18,7 +18,7 @@ _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1040px;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:left}
 td.n{text-align:right;font-variant-numeric:tabular-nums}figure{margin:1em 0}figcaption{font-size:13px;color:#555}
-img{display:block;max-width:100%}.pairs{display:grid;grid-template-columns:1fr;gap:.2em}
+td:nth-child(-n+3){white-space:nowrap}img{display:block;max-width:100%}.pairs{display:grid;grid-template-columns:1fr;gap:.2em}
 .no{color:#a33}.yes{color:#17691f}.dim{color:#777}nav a{margin-right:1em}h2{border-top:2px solid #888;padding-top:.6em}
 footer{color:#666;border-top:1px solid #ccc;margin-top:2em}
 """
@@ -61,8 +61,8 @@ def _summary(o: Outcome, figures: Sequence[Figure]) -> str:
         "drives a scope into every calyx and takes pictures; each is matched with the views, which says which calyx it "
         "shows and where the scope is; the EM sensor judges whether that is right. Numbers that the thesis printed "
         f"stand beside ours. <b>All lengths are mm at scale {scale:g}</b> (divide by {scale:g} for anatomy). The "
-        "thesis had one printed phantom and a real camera; ours are another kidney and simulated faults, so the two columns "
-        "show the same experiment, not the same kidney.</p>"
+        "thesis had one printed phantom and a real camera; ours are another kidney and simulated faults, so the two "
+        "columns show the same experiment, not the same kidney.</p>"
         f"<table><tr><th>figure</th><th>thesis</th><th>ours</th><th>where in the thesis</th></tr>{rows}</table>"
     )
 
@@ -128,7 +128,8 @@ def _series(o: Outcome, series: Matched, renderer: Renderer) -> str:
     return (
         f"<h2>{'Phantom' if phantom else 'Simulation'} pictures ({where})</h2><p>Matched with the right calyx: "
         f"<b>{share(series)}</b>. From left to right: the picture, its edges (green), the matched view with its edges "
-        "(orange), and a drawing from where the picture was truly taken. The third should look like the fourth.</p>"
+        "(orange; perhaps turned, where pictures are compared at every roll), the kidney drawn from the place found, "
+        "and from where the picture was truly taken. The fourth should look like the last.</p>"
         f"{poses}<div class=pairs>{strips}</div>"
     )
 

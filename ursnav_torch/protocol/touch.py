@@ -32,13 +32,13 @@ def touch_landmarks(
 
 def spread_points(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
     """Points (count, 3) on a surface and outward normals there, each the farthest from those before it."""
-    corners = np.asarray(mesh.vertices)
-    chosen = [int(np.linalg.norm(corners - corners.mean(axis=0), axis=1).argmax())]
-    distance = np.full(len(corners), np.inf)
+    points = np.asarray(mesh.triangles_center)
+    chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]
+    distance = np.full(len(points), np.inf)
     while len(chosen) < count:
-        distance = np.minimum(distance, np.linalg.norm(corners - corners[chosen[-1]], axis=1))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
         chosen.append(int(distance.argmax()))
-    return corners[chosen], np.asarray(mesh.vertex_normals)[chosen]
+    return points[chosen], np.asarray(mesh.face_normals)[chosen]
 
 
 def read_em(em: EmField, T_kidney_sensor: Array) -> tuple[Array, Array]:
