@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.geometry import Array, look_along
-from ursnav_torch.hardware.base import Frame
+from ursnav_torch.hardware.base import Frame, RobotSample
 from ursnav_torch.hardware.cameras import LensCamera
 from ursnav_torch.hardware.em_field import EmField
 from ursnav_torch.hardware.grbl import GrblRobot
@@ -111,6 +111,10 @@ class SimulatedGrblRobot(GrblRobot):
         self.board_port = SimulatedPort(self.board)
         super().__init__(self.board_port.path, twin.scope.drive, **settings)
         twin.drive_with(self.board.axes_mm, lambda: self.board.light)
+
+    def read(self, timeout_s: float = 0.5) -> RobotSample:
+        """As `Robot.read`, but with all the time that a simulated board is given on a busy machine."""
+        return super().read(max(timeout_s, self.deadline_s))
 
     def dispose(self) -> None:
         """Disconnect and end the simulation."""
