@@ -98,7 +98,7 @@ class Tracker:
         self._refiner = Refiner(
             vid, refinement or RefinementSettings(self.settings.tries, iterations=6, fine_rounds=1), self.lumen
         )
-        self._full_refinement = self._refiner.settings
+        self._full_refinement, self._around_tries = self._refiner.settings, self.settings.tries
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
         self._extractor = vid.extractor()
         self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
@@ -108,12 +108,13 @@ class Tracker:
         """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.
 
         Args:
-            level: 0 spends all that the settings say, 1 aligns one pose in a few steps instead of searching around
-                it, 2 or more also weighs a third of the hypotheses.
+            level: 0 spends all that the settings say, 1 follows a good track by aligning two poses in a few steps
+                instead of searching around it, 2 or more also weighs a third of the hypotheses.
         """
         full, refinement = self.settings, self._full_refinement
         few = max(full.hypotheses // 3, 2)
-        self._refiner.settings = replace(refinement, hypotheses=1, iterations=3) if level else refinement
+        self._around_tries = 2 if level else full.tries
+        self._refiner.settings = replace(refinement, iterations=4) if level else refinement
         self._search.settings = replace(full, hypotheses=few, newcomers=max(few // 4, 1)) if level > 1 else full
 
     def reset(self) -> None:
@@ -176,7 +177,9 @@ class Tracker:
             self._rival, self._doubt = None, 0.0
             return self._own.refined
         agrees = self._near(T, self._own.refined.T_kidney_camera)
-        self._own = _Lead(self._aligned(features, self._around(self._own, T, found)), self._own.refined)
+        self._own = _Lead(
+            self._aligned(features, self._around(self._own, T, found)[: self._around_tries]), self._own.refined
+        )
         if agrees or self._near(T, self._own.refined.T_kidney_camera):
             self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
             return self._own.refined
