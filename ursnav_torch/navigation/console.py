@@ -5,6 +5,7 @@ import time
 from dataclasses import replace
 
 from ursnav_torch.hardware import Gamepad, OperatorInput, Robot, TwinPilot
+from ursnav_torch.hardware.safety import DISARMED
 
 #: One press of a button on the page moves for this long; the page repeats it while it is held.
 HOLD_S = 0.35
@@ -79,8 +80,9 @@ class Console(Gamepad):
             self._press("arm")
 
     def emergency_stop(self) -> None:
-        """Stop everything now."""
+        """Stop everything now; a pilot does not fly on by itself."""
         self.release()
+        self.by_hand = self.by_hand or self._pilot
         self._press("emergency_stop")
         if self._robot is not None:
             self._robot.emergency_stop("stopped from the page")
@@ -96,6 +98,8 @@ class Console(Gamepad):
             presses, self._presses = self._presses, set()
             move = self._move if time.monotonic() < self._until_s else None
             waiting = self._pilot and self.by_hand
+        if self._pilot and self.may_drive and not waiting and self._robot and self._robot.gate.state == DISARMED:
+            presses.add("arm")  # a busy machine's watchdog disarms, and a pilot has no hand for that button
         own = OperatorInput(self._stamp()) if self.hands is None or waiting else self.hands.read()
         if own.quit and self._stay:
             self.by_hand = True

@@ -147,6 +147,7 @@ class Navigator:
 
     def _track(self) -> None:
         """Locate the newest picture, publish, again."""
+        failed = False
         while not self._end.is_set():
             job = self._jobs.take(0.2)
             if job is None:
@@ -159,8 +160,12 @@ class Navigator:
                 tracked = self.tracker.step(job.frame.image, t_s, job.sensor)
             except UrsnavError as error:
                 self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": str(error)}))
-                logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
+                if not failed:
+                    logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
+                failed = True
+                self.tracker.reset()  # whatever it was, it must not last
             else:
+                failed = False
                 self._publish(job, tracked, begun)
                 self._poses.put((_believed(tracked), t_s))
             with self._done:

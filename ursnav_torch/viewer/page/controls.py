@@ -2,8 +2,9 @@
 
 from typing import TYPE_CHECKING, Any
 
-from ursnav_torch.navigation import Console, Desk, Player
+from ursnav_torch.navigation import Console, Desk, NavigationState, Player
 from ursnav_torch.viewer.page.server import on_choice, on_press
+from ursnav_torch.viewer.page.words import robot_html
 
 if TYPE_CHECKING:
     import viser
@@ -13,22 +14,39 @@ KEYS = {"forward": "I", "back": "K", "left": "J", "right": "L", "up": "U", "down
 HOLD_HZ = 10.0
 
 
-def add_robot(server: "viser.ViserServer", console: Console) -> Any:
-    """Stop, acknowledge, and where it is allowed arm and drive; returns the line that says how the robot stands."""
-    gui = server.gui
-    stop = gui.add_button("STOP (space)", color="red", hint="Stops the robot now; it stays so until acknowledged.")
+def add_stop(server: "viser.ViserServer", console: Console) -> None:
+    """The button and the key that stop the robot; put first, so that they never move."""
+    stop = server.gui.add_button("STOP (space)", color="red", hint="Stops the robot at once, until acknowledged.")
     on_press(stop)(console.emergency_stop)
-    gui.add_command("Stop the robot", hotkey="space").on_trigger(lambda _event: console.emergency_stop())
-    on_press(gui.add_button("Acknowledge the stop"))(console.acknowledge)
-    state = gui.add_html("")
-    if console.may_drive:
-        on_press(gui.add_button("Arm"))(console.arm)
-        if console.has_pilot:
-            flying = gui.add_checkbox("The pilot flies", not console.by_hand)
-            on_choice(flying, console.give_to_pilot)
-        for move, key in KEYS.items():
-            _add_move(gui, console, move, key)
-    return state
+    server.gui.add_command("Stop the robot", hotkey="space").on_trigger(lambda _event: console.emergency_stop())
+
+
+class RobotControls:
+    """Acknowledge a stop, and where it is allowed arm and drive.
+
+    Args:
+        server: the page's.
+        console: the hands.
+    """
+
+    def __init__(self, server: "viser.ViserServer", console: Console) -> None:
+        self.console, gui = console, server.gui
+        self._text = gui.add_html("")
+        self._flying: Any = None
+        on_press(gui.add_button("Acknowledge the stop"))(console.acknowledge)
+        if console.may_drive:
+            on_press(gui.add_button("Arm"))(console.arm)
+            if console.has_pilot:
+                self._flying = gui.add_checkbox("The pilot flies", not console.by_hand)
+                on_choice(self._flying, console.give_to_pilot)
+            for move, key in KEYS.items():
+                _add_move(gui, console, move, key)
+
+    def show(self, state: NavigationState) -> None:
+        """Say how the robot stands, and who flies."""
+        self._text.content = robot_html(state)
+        if self._flying is not None and self._flying.value == self.console.by_hand:
+            self._flying.value = not self.console.by_hand
 
 
 def _add_move(gui: Any, console: Console, move: str, key: str) -> None:

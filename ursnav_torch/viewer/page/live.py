@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import Any
 
 from ursnav_torch.navigation import Desk, NavigationState
-from ursnav_torch.viewer.page.controls import ReplayControls, add_end, add_robot
+from ursnav_torch.viewer.page.controls import ReplayControls, RobotControls, add_end, add_stop
 from ursnav_torch.viewer.page.pictures import Pictures
 from ursnav_torch.viewer.page.scene import KidneyScene
 from ursnav_torch.viewer.page.server import on_press, start_server, stop_server
-from ursnav_torch.viewer.page.words import confidence_html, coverage_html, latency_html, robot_html, status_html
+from ursnav_torch.viewer.page.words import confidence_html, coverage_html, latency_html, picture_html, status_html
 
 logger = logging.getLogger(__name__)
 
@@ -52,8 +52,8 @@ class LivePage:
         chosen = self.desk.navigator.bus.latest().guidance.chosen
         self.desk.navigator.choose("" if calyx == chosen else calyx)
         names = [c.name for c in self._vid.kidney.calyces]
-        self._views.image = self._pictures.calyx(names.index(calyx))
-        self._views.label = f"views of calyx {calyx}"
+        views = self._pictures.calyx(names.index(calyx))
+        self._views.content = picture_html(views, f"views of calyx {calyx}", "views")
 
     def close(self) -> None:
         """Take the page away."""
@@ -65,15 +65,18 @@ class LivePage:
         """The panel with what must always be in reach."""
         gui = self.server.gui
         panel = gui.add_panel()
-        self._robot: Any = None
+        self._robot: RobotControls | None = None
         self._replay: ReplayControls | None = None
         with panel.add_tab("Session"):
+            console = self.desk.console
+            if console is not None and console.has_robot:
+                add_stop(self.server, console)
             self._status = gui.add_html(status_html("Starting."))
             self._confidence = gui.add_html("")
             if self.desk.player is not None:
                 self._replay = ReplayControls(self.server, self.desk.player)
-            if self.desk.console is not None and self.desk.console.has_robot:
-                self._robot = add_robot(self.server, self.desk.console)
+            if console is not None and console.has_robot:
+                self._robot = RobotControls(self.server, console)
             add_end(self.server, self.desk)
         panel.dock_left()
         panel.set_width(270)
@@ -82,15 +85,13 @@ class LivePage:
         """The panel with pictures, calyces and figures."""
         gui = self.server.gui
         gui.set_panel_label("Scope and kidney")
-        nothing = self._pictures.pair(None, None)
-        label = "what the scope sees, with its edges; what it should see there"
-        self._pair = gui.add_image(nothing, label=label, format="jpeg", jpeg_quality=85)
+        self._pair = gui.add_html("")
         self._coverage = gui.add_html("")
         with gui.add_folder("Go to calyx"):
             group = gui.add_button_group("", [c.name for c in self._vid.kidney.calyces])
             on_press(group)(lambda: self.choose(str(group.value)))
             on_press(gui.add_button("Propose the next one"))(lambda: self.desk.navigator.choose(""))
-            self._views = gui.add_image(self._pictures.calyx(0), label="views of the first calyx", format="jpeg")
+            self._views = gui.add_html("")
         self._latency = gui.add_html("")
 
     def _run(self) -> None:
@@ -112,14 +113,15 @@ class LivePage:
         self._count(now)
         if state.frame is not None and state.frame is not self._shown:
             self._shown = state.frame
-            self._pair.image = self._pictures.pair(state.frame.image, state.T_kidney_camera)
+            pair = self._pictures.pair(state.frame.image, state.T_kidney_camera)
+            self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
         with self.server.atomic():
             self._status.content = status_html(state.status)
             self._confidence.content = confidence_html(state)
             self._latency.content = latency_html(state, self._rate)
             self._coverage.content = coverage_html(g.coverage, g.chosen)
             if self._robot is not None:
-                self._robot.content = robot_html(state)
+                self._robot.show(state)
             plain = self._pictures.scope(state.frame.image, edges=False) if state.frame is not None else None
             self._scene.show_camera(state.T_kidney_camera, plain)
             self._scene.verdicts(g.coverage)

@@ -1,7 +1,12 @@
-"""The page's texts; every one is plain HTML made from values that are escaped."""
+"""The page's texts and pictures as plain HTML, made from values that are escaped."""
 
+import base64
 import html
 from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from ursnav_torch.localization.coverage import CalyxCoverage
 from ursnav_torch.navigation import WORDS, NavigationState, confidence_words
@@ -33,6 +38,16 @@ def robot_html(state: NavigationState) -> str:
     """How the robot stands, and the last thing that went wrong."""
     notice = f'<div style="color:#a33">{html.escape(state.notice)}</div>' if state.notice else ""
     return f'<div class="ursnav-robot" style="padding:0 .8em">robot: {state.robot or "not heard of yet"}{notice}</div>'
+
+
+def picture_html(picture: NDArray[np.uint8], caption: str, kind: str) -> str:
+    """A picture (H, W, 3) red, green, blue, within the text itself: nothing is fetched for it."""
+    data = base64.b64encode(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+    text = html.escape(caption, quote=True)
+    return (
+        f'<figure class="ursnav-{kind}" style="margin:0 .8em"><figcaption style="font-size:.85em;color:#555">{text}'
+        f'</figcaption><img alt="{text}" style="width:100%" src="data:image/jpeg;base64,{data.decode()}"></figure>'
+    )
 
 
 def coverage_html(coverage: Sequence[CalyxCoverage], chosen: str) -> str:
