@@ -2,9 +2,19 @@
 without it everything works the same.
 """
 
+from ursnav_torch.viewer.page.explore import ExplorePage, explore_vid
 from ursnav_torch.viewer.page.live import LivePage, web_page
 from ursnav_torch.viewer.page.pictures import Pictures
 from ursnav_torch.viewer.page.scene import KidneyScene
 from ursnav_torch.viewer.page.server import check_address, start_server
 
-__all__ = ["KidneyScene", "LivePage", "Pictures", "check_address", "start_server", "web_page"]
+__all__ = [
+    "ExplorePage",
+    "KidneyScene",
+    "LivePage",
+    "Pictures",
+    "check_address",
+    "explore_vid",
+    "start_server",
+    "web_page",
+]

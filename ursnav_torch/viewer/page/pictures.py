@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import read_image
-from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 from ursnav_torch.viewer.report import draw_edges
@@ -31,6 +30,7 @@ class Pictures:
         shrink = VIRTUAL_PX / max(vid.camera.width, vid.camera.height)
         self._lens = vid.camera.resized(round(vid.camera.width * shrink), round(vid.camera.height * shrink))
         self._renderer = RaycastRenderer(vid.kidney.mesh, self._lens)
+        self._full = RaycastRenderer(vid.kidney.mesh, vid.camera)
 
     def scope(self, image: Picture, edges: bool = True) -> Picture:
         """A scope's picture (H, W) or (H, W, 3) blue, green, red, with the edges that are matched."""
@@ -55,18 +55,16 @@ class Pictures:
             return np.zeros((self._lens.height, self._lens.width, 3), np.uint8)
         return _rgb(self._renderer.render(T_kidney_camera).image)
 
+    def large(self, T_kidney_camera: Array) -> Picture:
+        """What the scope should see, as large as its own pictures."""
+        return _rgb(self._full.render(T_kidney_camera).image)
+
     def view(self, index: int) -> Picture:
         """The picture of one of the VID's views; blank where the VID was stored without pictures."""
         try:
             return _rgb(read_image(self.vid.image_path(index)))
         except InputError:
             return np.full((self._lens.height, self._lens.width, 3), 230, np.uint8)
-
-    def nearest_view(self, T_kidney_camera: Array) -> int:
-        """The VID's view nearest to a pose: 1 mm counts as much as 7 degrees."""
-        away = np.linalg.norm(self.vid.T_kidney_camera[:, :3, 3] - T_kidney_camera[:3, 3], axis=1)
-        turned = np.degrees(rotation_angle(self.vid.T_kidney_camera, T_kidney_camera))
-        return int((away / self.vid.kidney.scale + 0.15 * turned).argmin())
 
     def calyx(self, calyx: int) -> Picture:
         """Some of the VID's views of a calyx, side by side, from far to near."""

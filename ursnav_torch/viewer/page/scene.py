@@ -97,6 +97,19 @@ class KidneyScene:
         if picture is not None:
             self._camera.image = picture
 
+    def on_wall(self, action: Callable[[Array, Array], None]) -> None:
+        """Call ``action(origin, direction)`` with the ray of a click on the kidney, kidney frame."""
+        self._tissue.on_click(lambda event: action(np.array(event.ray_origin), np.array(event.ray_direction)))
+
+    def show_points(self, name: str, points_mm: Sequence[Array], color: Color, factor: float = 1.0) -> None:
+        """Places, as dots."""
+        points = np.array(points_mm, np.float32).reshape(-1, 3)
+        visible = len(points) > 0
+        self._scene.add_point_cloud(
+            f"/dots/{name}", points if visible else np.zeros((1, 3), np.float32), color,
+            point_size=0.5 * factor * self._unit, point_shape="circle", precision="float32", visible=visible,
+        )  # fmt: skip
+
     def show_path(self, path_mm: Array) -> None:
         """Where the scope has been."""
         self._lines("path", path_mm, PATH, 2.0)
@@ -107,8 +120,9 @@ class KidneyScene:
 
     def rename(self, old: str, new: str, on_calyx: Callable[[str], None]) -> None:
         """Give a calyx another name."""
-        tip = next(c.tip_mm for c in self.kidney.calyces if c.name == old)
-        self._balls.pop(old).remove()
+        ball = self._balls.pop(old)
+        tip = np.array(ball.position)
+        ball.remove()
         self._labels.pop(old).remove()
         self._add_calyx(new, tip, on_calyx)
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.localization import LookAlikes
 from ursnav_torch.localization.coverage import CalyxCoverage
 from ursnav_torch.navigation import WORDS, NavigationState, confidence_words
 from ursnav_torch.viewer.page.scene import VERDICTS
@@ -61,6 +62,20 @@ def coverage_html(coverage: Sequence[CalyxCoverage], chosen: str) -> str:
     return f'<table class="ursnav-coverage" style="width:100%;padding:0 .8em;font-size:.9em">{rows}</table>'
 
 
+def look_alikes_html(known: LookAlikes | None, names: Sequence[str]) -> str:
+    """The matrix of calyces that look alike: rows what is shown, columns what it was taken for, % of the row."""
+    if known is None:
+        return '<div style="padding:0 .8em">This VID was built without learning from simulated pictures.</div>'
+    labels = [html.escape(name) for name in (*names, "(none)")]
+    share = 100 * known.counts / np.maximum(known.counts.sum(axis=1, keepdims=True), 1)
+    head = "<tr><td></td>" + "".join(f"<th>{label}</th>" for label in labels) + "</tr>"
+    rows = "".join(
+        f"<tr><th>{label}</th>{''.join(map(_share_cell, row))}</tr>" for label, row in zip(labels, share, strict=True)
+    )
+    said = "".join(f"<p>{html.escape(text)}</p>" for text in known.sentences(names))
+    return f'<div class="ursnav-alike" style="padding:0 .8em;font-size:.85em"><table>{head}{rows}</table>{said}</div>'
+
+
 def latency_html(state: NavigationState, rate: float) -> str:
     """Where the time goes, and what is left out for it."""
     t = state.latency
@@ -69,6 +84,11 @@ def latency_html(state: NavigationState, rate: float) -> str:
         '<div class="ursnav-latency" style="padding:0 .8em;font-size:.85em;color:#555">'
         f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}</div>"
     )
+
+
+def _share_cell(share: float) -> str:
+    text = f"{share:.0f}" if share >= 0.5 else ""
+    return f'<td style="text-align:center;background:rgba(30,90,200,{share / 130:.2f})">{text}</td>'
 
 
 def _css(color: tuple[int, int, int]) -> str:
