@@ -5,9 +5,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 GL_PACKAGES := libegl1 libgl1-mesa-dri
+DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl
 
-.PHONY: demo test check setup setup-dev system clean
+.PHONY: demo test check setup setup-dev system system-dev clean
 
 demo: setup
 	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
@@ -23,7 +24,7 @@ check: setup-dev
 
 setup: system $(VENV)/.installed
 
-setup-dev: system $(VENV)/.installed-dev
+setup-dev: system system-dev $(VENV)/.installed-dev
 
 # OpenGL libraries for pyrender (rendering=pyrender): installed where that is possible, named where it is not.
 system:
@@ -32,6 +33,16 @@ system:
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(GL_PACKAGES); \
 	  else \
 	    echo "rendering=pyrender needs the system packages $(GL_PACKAGES): sudo apt-get install $(GL_PACKAGES)"; \
+	  fi; \
+	fi
+
+# A browser for the tests of the page; without it those tests are skipped.
+system-dev:
+	@if command -v dpkg >/dev/null && ! command -v chromium >/dev/null; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(DEV_PACKAGES); \
+	  else \
+	    echo "the page's tests need a browser: sudo apt-get install $(DEV_PACKAGES)"; \
 	  fi; \
 	fi
 
