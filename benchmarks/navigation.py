@@ -50,11 +50,11 @@ def main(arguments: list[str]) -> None:
     torch.set_num_threads(1)
     report = Report("navigation", settings)
     with tempfile.TemporaryDirectory() as folder:
-        vid = load_vid(settings["vid"]) if settings["vid"] else _phantom_vid(settings, Path(folder) / "vid")
+        vid = load_vid(settings["vid"]) if settings["vid"] else phantom_vid(settings, Path(folder) / "vid")
         lumen = LumenDistance.from_kidney(vid.kidney)
         record = Path(settings["record"] or Path(folder) / "record")
         if not settings["record"]:
-            _record_flight(vid, record, settings)
+            record_flight(vid, record, settings)
         frames = [e for e in Replay(record, speed=0).events() if isinstance(e, Frame)]
         _measure(report, Navigator(Tracker(vid, lumen)), frames, settings)
     print(report.table())
@@ -111,13 +111,13 @@ def _at_rate(frames: list[Frame], rate_hz: float, seconds: float) -> Iterator[Fr
         yield replace(frame, stamp=Stamp(number, time.monotonic(), time.time()))
 
 
-def _phantom_vid(settings: dict[str, Any], folder: Path) -> Vid:
+def phantom_vid(settings: dict[str, Any], folder: Path) -> Vid:
     lens = equidistant_camera(160.0, settings["lens_px"], settings["lens_px"])
     plan = PlanSettings(views_per_calyx=settings["views_per_calyx"], passage_views=settings["views_per_calyx"])
     return build_vid(make_phantom_kidney(0, calyces=8), lens, DefaultSettings(), RaycastRenderer, plan, folder)
 
 
-def _record_flight(vid: Vid, path: Path, settings: dict[str, Any]) -> None:
+def record_flight(vid: Vid, path: Path, settings: dict[str, Any]) -> None:
     """Draw a flight along the centerline into the calyces in turn, at 6 mm/s, as a camera would see it."""
     rng = np.random.default_rng(0)
     renderer, faults = RaycastRenderer(vid.kidney.mesh, vid.camera), severity(settings["sensor"], 0.5, rng)

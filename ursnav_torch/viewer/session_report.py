@@ -15,6 +15,7 @@ from ursnav_torch.geometry import transform_from_quaternion
 from ursnav_torch.hardware import Frame
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.coverage import Coverage
+from ursnav_torch.localization.track import TRACKING
 from ursnav_torch.navigation import confidence_words
 from ursnav_torch.session import Replay
 from ursnav_torch.session.hold import POSITION, QUATERNION
@@ -158,19 +159,23 @@ def _way(positions: Array, t: Array, scale: float) -> tuple[float, float]:
     return float(step[fine].sum()), float(np.median(step[fine] / seconds[fine])) if fine.any() else 0.0
 
 
-def _doubtful(rows: list[dict[str, object]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:
+def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:
     """Stretches without a place, or with one that is not sure."""
-    why = [
-        str(row["state"]) if not row["accepted"] else "unsure" if float(str(row["confidence"])) < DOUBT else ""
-        for row in rows
-    ]
+    why = [_doubt(row) for row in rows]
     moments, begun = [], 0
     for i in range(1, len(rows) + 1):
         if i == len(rows) or why[i] != why[begun]:
             if why[begun] and t[i - 1] - t[begun] >= DOUBT_S:
-                moments.append(Moment(t[begun], t[i - 1], int(frame[(begun + i - 1) // 2]), why[begun]))
+                moments.append(Moment(float(t[begun]), float(t[i - 1]), int(frame[(begun + i - 1) // 2]), why[begun]))
             begun = i
     return moments
+
+
+def _doubt(row: dict[str, Any]) -> str:
+    """Why a picture's answer is doubtful; blank where it is not."""
+    if row["accepted"]:
+        return "unsure" if row["confidence"] < DOUBT else ""
+    return "the picture shows too little" if row["state"] == TRACKING else str(row["state"])
 
 
 def _frames(replay: Replay, numbers: set[int]) -> dict[int, Picture]:

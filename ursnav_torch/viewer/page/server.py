@@ -70,7 +70,9 @@ def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
 
     with contextlib.redirect_stdout(io.StringIO()):  # viser's banner: standard output is for results
         server = LocalServer(host=host, port=port or free_port(), label=title, verbose=False)
-    server.gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False, show_share_button=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(390)
     return server
 
 

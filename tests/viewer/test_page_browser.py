@@ -1,0 +1,213 @@
+"""The page in a real browser, headless, while a simulated scope explores the phantom."""
+
+import re
+import shutil
+import threading
+import time
+from contextlib import contextmanager
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+
+from ursnav_torch.hardware import (
+    LATER,
+    RobotLight,
+    SimulatedGrblRobot,
+    TwinCamera,
+    TwinPilot,
+    World,
+    build_rig,
+    make_twin,
+)
+from ursnav_torch.localization.track import Tracker
+from ursnav_torch.navigation import Navigator, hold_navigation
+from ursnav_torch.viewer.page import web_page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+PATIENCE_S = 60.0
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")]
+
+
+@pytest.fixture(scope="module")
+def page(vid, renderer, phantom_lumen):
+    """The page of a running session, without a browser yet."""
+    hardware = partial(
+        build_rig,
+        camera=partial(TwinCamera, twin=LATER, rate_hz=8.0),
+        robot=partial(SimulatedGrblRobot, twin=LATER, deadline_s=5.0),
+        light=partial(RobotLight, robot=LATER),
+        gamepad=partial(TwinPilot, twin=LATER, kidney=LATER, rounds=0),
+        twin=partial(make_twin, lumen=phantom_lumen),
+    )
+    pages, ready = [], threading.Event()
+
+    @contextmanager
+    def observer(desk):
+        with web_page(desk, port=0) as live:
+            pages.append(live)
+            ready.set()
+            yield
+
+    navigator = Navigator(Tracker(vid, phantom_lumen))
+    job = partial(hold_navigation, navigator, hardware, lambda: World(vid.kidney, renderer), observer=observer)
+    session = threading.Thread(target=job)
+    session.start()
+    assert ready.wait(PATIENCE_S)
+    yield pages[0]
+    pages[0].desk.stop()
+    session.join(timeout=30)
+    assert not session.is_alive()
+
+
+class Tab:
+    """A browser's tab on the page, and all that went wrong in it."""
+
+    def __init__(self, browser, url):
+        self.errors, self.foreign = [], []
+        self.tab = browser.new_page(viewport={"width": 1300, "height": 900})
+        self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
+        self.tab.on("pageerror", lambda e: self.errors.append(str(e)))
+        self.tab.on("request", self._request)
+        self.tab.on("websocket", lambda s: s.url.startswith("ws://127.0.0.1:") or self.foreign.append(s.url))
+        self.tab.goto(url)
+        self.tab.wait_for_selector(".ursnav-coverage", timeout=1e3 * PATIENCE_S)
+
+    def _request(self, request):
+        if not request.url.startswith(("http://127.0.0.1:", "data:", "blob:")):
+            self.foreign.append(request.url)
+
+    def text(self, part):
+        return re.sub(r"\s+", " ", self.tab.inner_text(f".ursnav-{part}")).strip()
+
+    def wait(self, what, part="status"):
+        """The text of a part once ``what(text)`` is true."""
+        until = time.monotonic() + PATIENCE_S
+        while not what(text := self.text(part)):
+            assert time.monotonic() < until, f"{part} still says {text!r}"
+            self.tab.wait_for_timeout(100)
+        return text
+
+    def scene(self):
+        """The middle of the page, blue, green, red, without notices."""
+        shot = cv2.imdecode(np.frombuffer(self.tab.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        return shot[160:, 280:820].astype(int)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def tab(browser, page):
+    return Tab(browser, page.url)
+
+
+def test_the_page_draws_the_kidney_and_the_pictures(tab):
+    until = time.monotonic() + PATIENCE_S
+    share = 0.0
+    while share < 0.01 and time.monotonic() < until:
+        blue, green, red = np.moveaxis(tab.scene(), -1, 0)
+        share = float(((red - blue > 12) & (red - green > 12)).mean())  # tissue
+        tab.tab.wait_for_timeout(300)
+    assert share >= 0.01
+    size = "els => els.map(e => [e.naturalWidth, e.naturalHeight])"
+    (width, height), *_ = tab.tab.eval_on_selector_all(".ursnav-pair img", size)
+    assert width == 2 * height > 0
+
+
+def test_the_status_line_follows_the_exploration(tab, page):
+    bus, seen = page.desk.navigator.bus, set()
+    until = time.monotonic() + PATIENCE_S
+    while len(seen) < 4 and time.monotonic() < until:
+        seen.add(tab.text("status"))
+        tab.tab.wait_for_timeout(200)
+    assert len(seen) >= 4
+    assert all(" of 6 inspected." in text for text in seen)
+    version = bus.latest().version
+    wanted = set()
+
+    def told(text):
+        wanted.add(bus.latest().status)
+        return text in wanted and bus.latest().version > version + 3
+
+    tab.wait(told)
+    assert "poses a second" in tab.text("latency")
+    assert tab.tab.locator(".ursnav-coverage tr").count() == 6
+
+
+def test_a_click_on_a_calyx_routes_there_and_shows_its_views(tab, page):
+    tab.tab.get_by_role("button", name="D", exact=True).click()
+    tab.wait(lambda text: "Next: D, " in text)
+    assert page.desk.navigator.bus.latest().guidance.chosen == "D"
+    assert tab.text("views").startswith("views of calyx D")
+    tab.tab.get_by_role("button", name="Propose the next one").click()
+    until = time.monotonic() + PATIENCE_S
+    while page.desk.navigator.bus.latest().guidance.chosen and time.monotonic() < until:
+        tab.tab.wait_for_timeout(100)
+    assert page.desk.navigator.bus.latest().guidance.chosen == ""
+
+
+def test_a_click_on_a_ball_in_the_scene_does_the_same(tab, page):
+    camera = next(iter(page.server.get_clients().values())).camera
+    box = tab.tab.locator("canvas").first.bounding_box()
+    kidney = page.desk.navigator.vid.kidney
+    w, x, y, z = camera.wxyz
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    local = (kidney.tips_mm - np.array(camera.position)) @ R
+    focal = box["height"] / 2 / np.tan(camera.fov / 2)
+    at = local[:, :2] / local[:, 2:] * focal + [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    free = (at[:, 0] > 300) & (at[:, 0] < 800) & (at[:, 1] > 170) & (at[:, 1] < 880)
+    for index in np.flatnonzero(free)[np.argsort(local[free, 2])]:  # the nearest first: nothing hides it
+        tab.tab.mouse.click(*(at[index]).tolist())
+        until = time.monotonic() + 5
+        while time.monotonic() < until and not page.desk.navigator.bus.latest().guidance.chosen:
+            tab.tab.wait_for_timeout(100)
+        if page.desk.navigator.bus.latest().guidance.chosen:
+            break
+    assert page.desk.navigator.bus.latest().guidance.chosen == kidney.calyces[index].name
+    page.desk.navigator.choose("")
+
+
+def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):
+    tab.wait(lambda text: "robot: armed" in text, "robot")
+    tab.tab.mouse.move(640, 800)
+    tab.tab.keyboard.press("Space")
+    tab.wait(lambda text: "robot: stopped" in text, "robot")
+    before = page.desk.navigator.bus.latest()
+    tab.tab.get_by_role("button", name="Acknowledge the stop").click()
+    tab.wait(lambda text: "robot: disarmed" in text, "robot")
+    assert page.desk.console.by_hand and before.robot == "stopped"
+    tab.tab.get_by_role("button", name="Arm", exact=True).click()
+    tab.wait(lambda text: "robot: armed" in text, "robot")
+
+
+def test_closing_and_opening_the_page_again_loses_nothing(tab, browser, page):
+    before, path = tab.text("coverage"), len(page.desk.navigator.bus.latest().path_mm)
+    tab.tab.close()
+    located = page.desk.navigator.located
+    time.sleep(1.0)
+    again = Tab(browser, page.url)
+    assert again.text("coverage").count("%") == before.count("%") == 6
+    shares = [[int(v) for v in re.findall(r"(\d+)%", text)] for text in (before, again.text("coverage"))]
+    assert all(b >= a for a, b in zip(*shares, strict=True))
+    assert len(page.desk.navigator.bus.latest().path_mm) >= path and page.desk.navigator.located > located
+    test_the_page_draws_the_kidney_and_the_pictures(again)
+    assert (tab.errors, again.errors) == ([], [])
+    assert (tab.foreign, again.foreign) == ([], [])
+    again.tab.close()
