@@ -17,8 +17,8 @@ from ursnav_torch.viewer.page.words import confidence_html, coverage_html, laten
 
 logger = logging.getLogger(__name__)
 
-#: Looks at the state a second; the wall is painted anew and the path drawn this often, s.
-UPDATES_HZ, PAINT_S = 8.0, 1.0
+#: Looks at the state a second; s between pictures, and between them on a slow machine; s between paintings of the wall.
+UPDATES_HZ, PICTURE_S, SLOW_PICTURE_S, PAINT_S = 8.0, 0.2, 0.6, 1.0
 
 
 class LivePage:
@@ -40,7 +40,8 @@ class LivePage:
         self._pictures = Pictures(self._vid)
         self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
         self._end = threading.Event()
-        self._painted_s, self._located, self._rate = 0.0, (time.monotonic(), 0), 0.0
+        self._painted_s, self._pictured_s = 0.0, 0.0
+        self._located, self._rate = (time.monotonic(), 0), 0.0
         self._shown: Any = None
         self._add_left()
         self._add_right()
@@ -111,8 +112,11 @@ class LivePage:
     def _show(self, state: NavigationState) -> None:
         now, g = time.monotonic(), state.guidance
         self._count(now)
-        if state.frame is not None and state.frame is not self._shown:
-            self._shown = state.frame
+        plain = None
+        every_s = SLOW_PICTURE_S if state.effort else PICTURE_S
+        if state.frame is not None and state.frame is not self._shown and now - self._pictured_s >= every_s:
+            self._shown, self._pictured_s = state.frame, now
+            plain = self._pictures.scope(state.frame.image, edges=False)
             pair = self._pictures.pair(state.frame.image, state.T_kidney_camera)
             self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
         with self.server.atomic():
@@ -122,7 +126,6 @@ class LivePage:
             self._coverage.content = coverage_html(g.coverage, g.chosen)
             if self._robot is not None:
                 self._robot.show(state)
-            plain = self._pictures.scope(state.frame.image, edges=False) if state.frame is not None else None
             self._scene.show_camera(state.T_kidney_camera, plain)
             self._scene.verdicts(g.coverage)
         if now - self._painted_s >= PAINT_S:

@@ -60,7 +60,7 @@ class KidneyScene:
             self._add_calyx(calyx.name, calyx.tip_mm, on_calyx)
         self._camera: Any = None
         self._axes: Any = None
-        self._painted = -1
+        self._painted, self._drawn = -1, dict[str, Array]()
 
     def paint(self, of_face: NDArray[np.int64], seen: NDArray[np.bool_]) -> None:
         """Color the wall that was seen; costs as much as there is of it, so it is done when there is more."""
@@ -150,6 +150,9 @@ class KidneyScene:
         )  # fmt: skip
 
     def _lines(self, name: str, points: Array, color: Color, thickness: float) -> None:
+        if np.array_equal(self._drawn.get(name, ()), points):
+            return
+        self._drawn[name] = points
         steps = np.stack([points[:-1], points[1:]], axis=1) if len(points) > 1 else np.zeros((0, 2, 3))
         steps = steps[np.linalg.norm(steps[:, 1] - steps[:, 0], axis=1) <= JUMP_MM * self._unit]
         if not len(steps):
