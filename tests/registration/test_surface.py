@@ -1,11 +1,15 @@
 """Registration from touched points, the distance field and the search under it."""
 
+import contextlib
+import warnings
+
 import numpy as np
 import pytest
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from benchmarks._em import Drive
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
 from ursnav_torch.geometry import apply, inverse, transform_from
 from ursnav_torch.kidney import Kidney
@@ -39,6 +43,30 @@ def test_few_points_of_one_spot_are_refused(phantom: Kidney) -> None:
         register_surface(near, phantom.mesh)
     with pytest.raises(RegistrationError, match="5 touched points are too few"):
         register_surface(em[:5], phantom.mesh)
+
+
+@pytest.mark.slow
+def test_a_path_through_the_lumen_is_no_set_of_touches(phantom: Kidney, drive: Drive) -> None:
+    with pytest.raises(RegistrationError, match=r"runs along the wall.*registration=centerline"):
+        register_surface(drive.position_em, phantom.mesh, axis_em=drive.axis_em)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with contextlib.suppress(RegistrationError):
+            register_surface(drive.position_em, phantom.mesh)
+    assert any("steps of" in str(w.message) and "registration=centerline" in str(w.message) for w in said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_axes_at_the_wall_are_touches_whichever_way_they_are_counted(phantom: Kidney, sign: float) -> None:
+    em, T_kidney_em = touched(phantom, 60)
+    _, _, face = trimesh.proximity.closest_point(phantom.mesh, apply(T_kidney_em, em))
+    tilt = np.random.default_rng(2).normal(0, 0.4, (60, 3))
+    axis = sign * (phantom.mesh.face_normals[face] + tilt) @ T_kidney_em[:3, :3]
+    axis[:5] = np.nan
+    assert register_surface(em, phantom.mesh, axis_em=axis).suspicions == ()
+    with pytest.raises(ShapeError, match="as many axes as points"):
+        register_surface(em, phantom.mesh, axis_em=axis[1:])
 
 
 def test_inputs_are_checked(phantom: Kidney) -> None:

@@ -51,13 +51,16 @@ def landmarks_job(
 def surface_job(
     landmarks: Path | None, points: Path | None, kidney: Kidney | None, *, trim: float = 0.9, max_error_mm: float = 5.0
 ) -> Registration:
-    """``registration=surface``: `register_surface` on a file of touched points (columns x_mm,y_mm,z_mm).
+    """``registration=surface``: `register_surface` on a file of touched points (x_mm,y_mm,z_mm; dx,dy,dz if known).
 
     Raises:
         InputError, RegistrationError: as `register_surface` does; or the file or the kidney is missing.
     """
     points, kidney = _points_and_kidney("surface", landmarks, points, kidney)
-    found = register_surface(read_em_samples(points).position_mm, kidney.mesh, trim=trim, max_error_mm=max_error_mm)
+    samples = read_em_samples(points)
+    found = register_surface(
+        samples.position_mm, kidney.mesh, axis_em=samples.axis, trim=trim, max_error_mm=max_error_mm
+    )
     return replace(found, model_scale=kidney.scale)
 
 
