@@ -136,11 +136,28 @@ class Tracker:
             InputError: the picture cannot be of the VID's lens.
         """
         start = time.perf_counter()
+        return self.follow(self.extract(image), t_s, sensor, start)
+
+    def extract(self, image: NDArray[np.uint8]) -> Features | None:
+        """What `follow` needs of a picture, None where it shows nothing; the one may run beside the other.
+
+        Raises:
+            InputError: see `step`.
+        """
         with torch.inference_mode(), one_thread_an_operation():
             try:
-                features = self._extractor.extract(image)
+                return self._extractor.extract(image)
             except FeatureError:
-                return self._bridge(t_s, start)
+                return None
+
+    def follow(
+        self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
+    ) -> Tracked:
+        """`step` from what `extract` gave; ``start`` on the clock ``time.perf_counter`` is what `seconds` count from."""
+        start = time.perf_counter() if start is None else start
+        if features is None:
+            return self._bridge(t_s, start)
+        with torch.inference_mode(), one_thread_an_operation():
             return self._follow(features, t_s, sensor, start)
 
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
