@@ -205,8 +205,9 @@ def judge_confidence(report: Report, answers: dict[str, list[Answer]]) -> None:
         report.add("accepted pictures", f"right of the accepted, {style}", "%", [share], note, len(accepted))
     every = [a for own in answers.values() for a in own]
     confidence, right_ = np.array([a.confidence for a in every]), np.array([a.right for a in every])
-    report.add("confidence", "expected calibration error", "", [calibration_error(confidence, right_)], n=len(every))
-    report.add("confidence", "AUROC against right", "", [auroc(confidence, right_)], n=len(every))
+    error = calibration_error(confidence, right_)
+    report.add("confidence", "expected calibration error", "of 1", [error], n=len(every))
+    report.add("confidence", "AUROC against right", "of 1", [auroc(confidence, right_)], n=len(every))
 
 
 def refuse(report: Report, vids: dict[str, Vid], folder: Path) -> None:

@@ -125,8 +125,9 @@ def _score(report: Report, answers: list[dict[str, Any]]) -> None:
         report.add("accepted", f"{preset}, right of the accepted", "%", [share], note, len(accepted))
     asked = [a for a in answers if a["preset"] != "none"]
     confidence, right_ = np.array([a["confidence"] for a in asked]), np.array([a["right"] for a in asked])
-    report.add("confidence", "expected calibration error", "", [calibration_error(confidence, right_)], n=len(asked))
-    report.add("confidence", "AUROC against right", "", [auroc(confidence, right_)], n=len(asked))
+    error = calibration_error(confidence, right_)
+    report.add("confidence", "expected calibration error", "of 1", [error], n=len(asked))
+    report.add("confidence", "AUROC against right", "of 1", [auroc(confidence, right_)], n=len(asked))
     none = [a for a in answers if a["preset"] == "none"]
     refused = sum(not a["accepted"] for a in none)
     report.add("pictures of nothing", "refused", "%", [100 * refused / len(none)], f"{refused}/{len(none)}", len(none))

@@ -6,7 +6,7 @@ import trimesh
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import angle_between, check_rigid
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.vid import Plan, PlanSettings, plan_views
 
 
@@ -87,7 +87,7 @@ def test_a_larger_kidney_has_the_same_views_larger(phantom: Kidney, settings: Pl
     "wrong",
     [
         {"views_per_calyx": 0}, {"passage_views": -1}, {"nearest_mm": 13.0}, {"nearest_mm": 0.0},
-        {"scope_radius_mm": 0.0}, {"tilt_deg": -1.0}, {"largest_tilt_deg": 180.0},
+        {"scope_radius_mm": 0.0}, {"stretch_mm": -0.1}, {"tilt_deg": -1.0}, {"largest_tilt_deg": 180.0},
     ],
 )  # fmt: skip
 def test_refuses_settings_that_cannot_be(wrong: dict[str, float]) -> None:
@@ -98,3 +98,13 @@ def test_refuses_settings_that_cannot_be(wrong: dict[str, float]) -> None:
 def test_a_scope_too_thick_is_told_so(phantom: Kidney, phantom_lumen: LumenDistance) -> None:
     with pytest.raises(InputError, match=r"Calyx . has room for only .*scope_radius_mm"):
         plan_views(phantom, phantom_lumen, PlanSettings(scope_radius_mm=6.0))
+
+
+def test_a_passage_narrower_than_the_scope_gives_way() -> None:
+    kidney = make_phantom_kidney(seed=1004)  # the infundibulum of D is 1.3 mm wide
+    lumen, settings = LumenDistance.from_kidney(kidney), PlanSettings(views_per_calyx=8, passage_views=0)
+    plan = plan_views(kidney, lumen, settings)
+    assert np.bincount(plan.calyx, minlength=len(kidney.calyces)).tolist() == [8] * len(kidney.calyces)
+    assert lumen.clearance_mm(plan.T_kidney_camera[:, :3, 3]).min() > settings.scope_radius_mm - settings.stretch_mm
+    with pytest.raises(InputError, match="Calyx D has room for only 0"):
+        plan_views(kidney, lumen, replace(settings, stretch_mm=0.0))

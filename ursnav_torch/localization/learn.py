@@ -19,7 +19,7 @@ from ursnav_torch.rendering.sensor import PRESETS, draw_faults, none_pictures, s
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
 
 #: Share of pictures that show no calyx among those learned from.
-NONE_SHARE = 0.2
+NONE_SHARE = 0.5
 #: Pictures drawn in one state of a moved and swollen kidney.
 PICTURES_A_WARP = 8
 

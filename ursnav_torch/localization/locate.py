@@ -11,7 +11,8 @@ from ursnav_torch.features import Features, polar_grid, polar_maps
 from ursnav_torch.geometry import angle_between, rotation_angle, transform_from
 from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location, Ranking
-from ursnav_torch.localization.confidence import Confidence, evidence
+from ursnav_torch.localization.confidence import VOTE_WIDTH, Confidence, evidence
+from ursnav_torch.localization.consensus import NEAR_MM, mean_pose
 from ursnav_torch.localization.refine import Refiner
 from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.localization.settings import LocalizationSettings, default_matching
@@ -72,11 +73,11 @@ class Localizer:
         candidates = tuple(
             Candidate(int(found.ranking.views[i]), float(found.ranking.distance[i]), found.poses[i]) for i in rows
         )
-        best = candidates[0]
+        best, refined = candidates[0], found.refined
         return Location(
             found.calyx,
             self.vid.calyx_name(found.calyx),
-            best.T_kidney_camera if found.refined is None else found.refined.T_kidney_camera,
+            self._mean(found.poses, found.ranking.distance, rows[0]) if refined is None else refined.T_kidney_camera,
             best.view,
             best.distance,
             confidence,
@@ -94,7 +95,7 @@ class Localizer:
         if self._refiner is None:
             return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, seen.numbers(), None)
         rows = _apart(poses, self._refiner.settings.hypotheses)
-        refined = self._refiner.refine(features, list(poses[rows]))
+        refined = self._refiner.refine(features, [self._mean(poses, ranking.distance, i) for i in rows])
         calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
         return Judgement(ranking, poses, calyces, calyx, seen.calyx, numbers, refined)
@@ -136,6 +137,11 @@ class Localizer:
     def _turns(self, tilt: Tensor, roll: Tensor) -> Array:
         """Rotations (K, 3, 3) R_view_query: how the query's camera is turned against each view's."""
         return _roll_matrices(roll.numpy()) @ np.swapaxes(self._tilts[tilt.numpy()], 1, 2)
+
+    def _mean(self, poses: Array, distance: Tensor, row: int) -> Array:
+        """The mean (4, 4) of poses (K, 4, 4) at the place of one of them, weighted as their views vote."""
+        weight = np.exp((float(distance[row]) - distance.numpy().astype(float)) / VOTE_WIDTH)
+        return mean_pose(poses, weight, row, NEAR_MM * self.vid.kidney.scale)[0]
 
     def _best(self, found: Judgement) -> list[int]:
         """Rows of the ranking to name: first the nearest to the refined pose or the best of the calyx, then by rank."""

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features, polar_grid, polar_maps
-from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.geometry import transform_from
 from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.localization.consensus import NEAR_DEG, NEAR_MM, mean_pose
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings, transition
 from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.vid import Vid
@@ -53,8 +54,8 @@ class TrackSettings:
     tilt_rounds: int = 2
     hypotheses: int = 48
     newcomers: int = 12
-    near_mm: float = 3.0
-    near_deg: float = 25.0
+    near_mm: float = NEAR_MM
+    near_deg: float = NEAR_DEG
     own_share: float = 0.5
     tries: int = 5
     slide_mm: float = 2.0
@@ -156,13 +157,9 @@ class PlaceSearch:
 
 def place(hypotheses: Hypotheses, settings: TrackSettings, unit: float) -> tuple[Array, float]:
     """The mean pose (4, 4) of the hypotheses near the best, and their share of the probability."""
-    T = hypotheses.T_kidney_camera
-    best = int(hypotheses.weight.argmax())
-    near = np.linalg.norm(T[:, :3, 3] - T[best, :3, 3], axis=1) <= settings.near_mm * unit
-    near &= rotation_angle(T[best], T) <= np.radians(settings.near_deg)
-    w = hypotheses.weight[near]
-    R = Rotation.from_matrix(T[near, :3, :3]).mean(weights=w).as_matrix()
-    return transform_from(R, np.average(T[near, :3, 3], axis=0, weights=w)), float(w.sum())
+    weight = hypotheses.weight
+    best = int(weight.argmax())
+    return mean_pose(hypotheses.T_kidney_camera, weight, best, settings.near_mm * unit, settings.near_deg)
 
 
 def _rolled(roll: torch.Tensor, R: Array) -> Array:

@@ -27,6 +27,7 @@ class PlanSettings:
         roll_deg: views are rolled at random within plus or minus this; 0 suits features that are compared at every
             roll.
         scope_radius_mm: the camera keeps this far from the wall.
+        stretch_mm: a passage narrower than the scope gives way by this much; the camera then keeps to its middle.
         bending_length_mm, largest_bend_deg: the scope's flexible tip (thesis §4.3.1: 20 mm, 120 degrees); a view
             direction farther from the way's direction that much before is out of reach.
         seed: same seed, same views.
@@ -40,6 +41,7 @@ class PlanSettings:
     largest_tilt_deg: float = 45.0
     roll_deg: float = 0.0
     scope_radius_mm: float = 1.0
+    stretch_mm: float = 0.6
     bending_length_mm: float = 20.0
     largest_bend_deg: float = 120.0
     seed: int = 0
@@ -52,11 +54,17 @@ class PlanSettings:
             )
         if not 0 < self.nearest_mm < self.farthest_mm:
             raise InputError(f"Expected 0 < nearest_mm < farthest_mm, got {self.nearest_mm} and {self.farthest_mm}.")
+        if not 0 <= self.stretch_mm <= 2:
+            raise InputError(f"Expected 0 <= stretch_mm <= 2, got {self.stretch_mm}.")
         if not 0 < self.scope_radius_mm < 10 or not 0 <= self.tilt_deg or not 0 < self.largest_tilt_deg < 180:
             raise InputError(
                 "Expected 0 < scope_radius_mm < 10, tilt_deg >= 0 and 0 < largest_tilt_deg < 180, got "
                 f"{self.scope_radius_mm}, {self.tilt_deg} and {self.largest_tilt_deg}."
             )
+
+
+#: In a passage narrower than the scope the camera keeps this part of the passage's radius from the wall.
+_MIDDLE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +138,7 @@ def _poses(way: "_Way", at_mm: Array, u: Array, kidney: Kidney, lumen: LumenDist
     center, radius, forward = way.at(at_mm)
     unit = kidney.scale
     side, up = _across(forward)
+    least = (settings.scope_radius_mm - settings.stretch_mm) * unit
     room = np.maximum(radius - settings.scope_radius_mm * unit, 0.0)
     offset, turn = (room * np.sqrt(u[:, 0]))[:, None], 2 * np.pi * u[:, 1:2]
     position = center + offset * (np.cos(turn) * side + np.sin(turn) * up)
@@ -142,7 +151,8 @@ def _poses(way: "_Way", at_mm: Array, u: Array, kidney: Kidney, lumen: LumenDist
     keep = (tilt <= np.radians(settings.largest_tilt_deg)) & (
         angle_between(behind, direction) <= np.radians(settings.largest_bend_deg)
     )
-    keep &= lumen.clearance_mm(position) >= settings.scope_radius_mm * unit
+    needed = np.minimum(settings.scope_radius_mm * unit, np.maximum(_MIDDLE * radius, least))
+    keep &= lumen.clearance_mm(position) >= needed
     return look_along(position[keep], direction[keep], roll[keep])
 
 

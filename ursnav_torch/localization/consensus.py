@@ -1,0 +1,36 @@
+"""What near-best hypotheses say together: the mean of those that are one place."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.geometry import rotation_angle, transform_from
+
+Array = NDArray[np.float64]
+
+#: Hypotheses within this of each other are one place; mm at the kidney's scale 1, and degrees.
+NEAR_MM, NEAR_DEG = 3.0, 25.0
+
+
+def mean_pose(
+    T_kidney_camera: Array, weight: Array, row: int, near_mm: float, near_deg: float = NEAR_DEG
+) -> tuple[Array, float]:
+    """The weighted mean of the poses near one of them, and their share of the weight.
+
+    Between views the mean is nearer to the truth than the best view: their errors point in different directions.
+
+    Args:
+        T_kidney_camera: (N, 4, 4).
+        weight: (N,) at least 0, above 0 at ``row``.
+        row: of the pose around which is averaged.
+        near_mm, near_deg: poses within both of it count.
+
+    Returns:
+        (4, 4) T_kidney_camera, and a number 0..1.
+    """
+    T = T_kidney_camera
+    near = np.linalg.norm(T[:, :3, 3] - T[row, :3, 3], axis=1) <= near_mm
+    near &= rotation_angle(T[row], T) <= np.radians(near_deg)
+    w = weight[near]
+    R = Rotation.from_matrix(T[near, :3, :3]).mean(weights=w).as_matrix()
+    return transform_from(R, np.average(T[near, :3, 3], axis=0, weights=w)), float(w.sum() / weight.sum())
