@@ -153,7 +153,7 @@ class Tracker:
     def follow(
         self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
     ) -> Tracked:
-        """`step` from what `extract` gave; ``start`` on the clock ``time.perf_counter`` is what `seconds` count from."""
+        """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``."""
         start = time.perf_counter() if start is None else start
         if features is None:
             return self._bridge(t_s, start)
