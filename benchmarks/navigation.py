@@ -87,6 +87,7 @@ def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings
     report.add(group, "picture to pose", "ms", total)
     report.add(group, "picture to pose, 95th percentile", "ms", [float(np.percentile(total, 95))], n=len(total))
     report.add(group, "of that, waiting", "ms", [1e3 * x.waiting_s for x in latencies])
+    report.add(group, "of that, features", "ms", [1e3 * x.features_s for x in latencies])
     report.add(group, "of that, tracking", "ms", [1e3 * x.tracking_s for x in latencies])
     report.add(group, "coverage and route, beside", "ms", [1e3 * x.painting_s for x in latencies])
     report.add(group, "poses a second", "1/s", [(navigator.located - located) / seconds], n=len(total))

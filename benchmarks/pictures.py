@@ -30,7 +30,7 @@ from ursnav_torch.session import Replay
 from ursnav_torch.vid import load_vid
 from ursnav_torch.viewer.page import LivePage, web_page
 
-SETTINGS = {"vid": "", "shots": 48, "pictures_a_shot": 12, "width": 960, "quality": 55, "out": "docs"}
+SETTINGS = {"vid": "", "shots": 28, "pictures_a_shot": 20, "width": 960, "quality": 55, "out": "docs"}
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 LARGEST_BYTES = 2_000_000
 
@@ -81,7 +81,7 @@ def _photograph(page: LivePage, settings: dict[str, Any], shots: list[Image.Imag
                 until = time.monotonic() + 20
                 while navigator.located < located and time.monotonic() < until:
                     time.sleep(0.02)
-                tab.wait_for_timeout(1600)  # the wall is painted once a second
+                tab.wait_for_timeout(1200)  # the wall is painted once a second
                 shots.append(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
             browser.close()
     finally:

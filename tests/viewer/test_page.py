@@ -60,7 +60,7 @@ def test_convention_the_virtual_picture_stands_beside_the_scopes_upright(vid, re
     """The same pose gives the same picture on both sides, not mirrored, not turned."""
     pictures = Pictures(vid)
     image = renderer.render(vid.T_kidney_camera[3]).image
-    pair = pictures.pair(image, vid.T_kidney_camera[3]).astype(float)
+    pair = pictures.pair(image, None, vid.T_kidney_camera[3]).astype(float)
     virtual = pair[:, pair.shape[1] // 2 :].mean(axis=2)
     shown = cv2.resize(image, virtual.shape[::-1]).astype(float)
 
@@ -153,7 +153,7 @@ def record(vid, renderer, tmp_path_factory):
 
 
 def test_a_session_in_figures(vid, record):
-    figures = session_figures(Replay(record, speed=0))
+    figures = session_figures(Replay(record, speed=0), vid.kidney)
     first, second = (c.name for c in vid.kidney.calyces[:2])
     assert len(figures.t_s) == 60 and figures.t_s[-1] == pytest.approx(5.9)
     assert figures.time_in_s[first] > 1.5

@@ -10,6 +10,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ursnav_torch.hardware import (
     LATER,
@@ -23,7 +24,7 @@ from ursnav_torch.hardware import (
 )
 from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Navigator, hold_navigation
-from ursnav_torch.viewer.page import web_page
+from ursnav_torch.viewer.page import ExplorePage, web_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -66,7 +67,7 @@ def page(vid, renderer, phantom_lumen):
 class Tab:
     """A browser's tab on the page, and all that went wrong in it."""
 
-    def __init__(self, browser, url):
+    def __init__(self, browser, url, shown=".ursnav-coverage"):
         self.errors, self.foreign = [], []
         self.tab = browser.new_page(viewport={"width": 1300, "height": 900})
         self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
@@ -74,11 +75,14 @@ class Tab:
         self.tab.on("request", self._request)
         self.tab.on("websocket", lambda s: s.url.startswith("ws://127.0.0.1:") or self.foreign.append(s.url))
         self.tab.goto(url)
-        self.tab.wait_for_selector(".ursnav-coverage", timeout=1e3 * PATIENCE_S)
+        self.tab.wait_for_selector(shown, timeout=1e3 * PATIENCE_S)
 
     def _request(self, request):
         if not request.url.startswith(("http://127.0.0.1:", "data:", "blob:")):
             self.foreign.append(request.url)
+
+    def press(self, button):
+        self.tab.get_by_role("button", name=button, exact=True).click()
 
     def text(self, part):
         return re.sub(r"\s+", " ", self.tab.inner_text(f".ursnav-{part}")).strip()
@@ -95,6 +99,17 @@ class Tab:
         """The middle of the page, blue, green, red, without notices."""
         shot = cv2.imdecode(np.frombuffer(self.tab.screenshot(), np.uint8), cv2.IMREAD_COLOR)
         return shot[160:, 280:820].astype(int)
+
+
+def screen_positions(page, tab, points_mm):
+    """Where places (N, 3) in the kidney frame are on the screen, (N, 2) px, as the browser says its camera stands."""
+    camera = next(iter(page.server.get_clients().values())).camera
+    box = tab.tab.locator("canvas").first.bounding_box()
+    R = Rotation.from_quat(np.roll(camera.wxyz, -1)).as_matrix()
+    local = (points_mm - np.array(camera.position)) @ R
+    focal = box["height"] / 2 / np.tan(camera.fov / 2)
+    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    return (local[:, :2] / local[:, 2:] * focal + middle).tolist()
 
 
 @pytest.fixture(scope="module")
@@ -158,22 +173,10 @@ def test_a_click_on_a_calyx_routes_there_and_shows_its_views(tab, page):
 
 
 def test_a_click_on_a_ball_in_the_scene_does_the_same(tab, page):
-    camera = next(iter(page.server.get_clients().values())).camera
-    box = tab.tab.locator("canvas").first.bounding_box()
     kidney = page.desk.navigator.vid.kidney
-    w, x, y, z = camera.wxyz
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    local = (kidney.tips_mm - np.array(camera.position)) @ R
-    focal = box["height"] / 2 / np.tan(camera.fov / 2)
-    at = local[:, :2] / local[:, 2:] * focal + [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    at = np.array(screen_positions(page, tab, kidney.tips_mm))
     free = (at[:, 0] > 300) & (at[:, 0] < 800) & (at[:, 1] > 170) & (at[:, 1] < 880)
-    for index in np.flatnonzero(free)[np.argsort(local[free, 2])]:  # the nearest first: nothing hides it
+    for index in np.flatnonzero(free):  # one of them is in front
         tab.tab.mouse.click(*(at[index]).tolist())
         until = time.monotonic() + 5
         while time.monotonic() < until and not page.desk.navigator.bus.latest().guidance.chosen:
@@ -211,3 +214,38 @@ def test_closing_and_opening_the_page_again_loses_nothing(tab, browser, page):
     assert (tab.errors, again.errors) == ([], [])
     assert (tab.foreign, again.foreign) == ([], [])
     again.tab.close()
+
+
+def test_exploring_by_hand_takes_views_and_picks_landmarks(browser, vid, tmp_path):
+    page = ExplorePage(vid, tmp_path / "kept", port=0)
+    try:
+        tab = Tab(browser, page.url, shown=".ursnav-pair")
+        tab.wait(lambda text: text.endswith("0 views and 0 landmarks kept."))
+        tab.press("Go there")
+        tab.wait(lambda text: text.startswith("Calyx A."))
+        before = page.T_kidney_camera
+        tab.tab.keyboard.press("j")
+        tab.press("Take this view")
+        tab.wait(lambda text: "1 views" in text)
+        assert not np.allclose(before, page.T_kidney_camera)
+        tab.tab.get_by_text("Pick landmarks").click()
+        for x, y in screen_positions(page, tab, vid.kidney.centerline.points_mm[[0, 5, 10]]):
+            tab.tab.mouse.click(x, y)
+            tab.tab.wait_for_timeout(500)
+        tab.wait(lambda text: "0 landmarks" not in text)
+        off = vid.kidney.mesh.nearest.on_surface(np.array(page.collection.landmarks_mm))[1]
+        assert np.abs(off).max() < 1e-2
+        tab.press("Save")
+        until = time.monotonic() + PATIENCE_S
+        while not (tmp_path / "kept" / "landmarks.csv").exists() and time.monotonic() < until:
+            tab.tab.wait_for_timeout(100)
+        assert {p.name for p in (tmp_path / "kept").iterdir()} == {
+            "calyces.csv",
+            "images",
+            "landmarks.csv",
+            "poses.csv",
+        }
+        assert (tab.errors, tab.foreign) == ([], [])
+        tab.tab.close()
+    finally:
+        page.close()

@@ -5,7 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.features import Features
 from ursnav_torch.hardware import Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.localization.route import ScopeLimits
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
@@ -47,6 +48,15 @@ class _Job:
     sensor: SensorReading | None
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A picture's features, None where it showed too little, and how long they took."""
+
+    job: _Job
+    features: Features | None
+    features_s: float
+
+
 class Navigator:
     """Navigates in one kidney. Use it in a ``with`` block; `take` never waits, results come out on `bus`.
 
@@ -70,19 +80,20 @@ class Navigator:
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
         self._jobs: Newest[_Job] = Newest()
+        self._seen: Newest[_Seen] = Newest()
         self._poses: Newest[tuple[Array | None, float]] = Newest()  # pose and the picture's time
         self._reading: SensorReading | None = None
         self._results: deque[Result] = deque(maxlen=1000)
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
         self._given = self._finished = 0
-        self._forget = self._choose_again = False
+        self._forget = self._choose_again = self._failing = False
         self._logged_s, self._painting_s = time.monotonic(), 0.0
         self._threads: list[threading.Thread] = []
 
     @property
     def passed_over(self) -> int:
         """Pictures that were not located because a newer one came."""
-        return self._jobs.replaced
+        return self._jobs.replaced + self._seen.replaced
 
     def take(self, event: Event, live: bool = True) -> None:
         """Take an event of a session; never waits.
@@ -131,8 +142,9 @@ class Navigator:
     def __enter__(self) -> Self:
         self._end.clear()
         self._show(None)
-        for job, name in ((self._track, "navigation-track"), (self._paint, "navigation-paint")):
-            self._threads.append(threading.Thread(target=job, name=name, daemon=True))
+        for stage in (self._extract, self._track, self._paint):
+            name = f"navigation{stage.__name__}"
+            self._threads.append(threading.Thread(target=stage, name=name, daemon=True))
             self._threads[-1].start()
         return self
 
@@ -145,45 +157,70 @@ class Navigator:
         self._threads.clear()
         self.bus.update(lambda state: replace(state, ended=True))
 
-    def _track(self) -> None:
-        """Locate the newest picture, publish, again."""
-        failed = False
+    def _extract(self) -> None:
+        """Features of the newest picture, and again."""
         while not self._end.is_set():
             job = self._jobs.take(0.2)
             if job is None:
                 continue
+            begun = time.monotonic()
+            try:
+                features = self.tracker.extract(job.frame.image)
+            except UrsnavError as error:
+                self._fail(job, error)
+                continue
+            self._seen.put(_Seen(job, features, time.monotonic() - begun))
+
+    def _track(self) -> None:
+        """Locate the newest picture with features, publish, again."""
+        while not self._end.is_set():
+            seen = self._seen.take(0.2)
+            if seen is None:
+                continue
             if self._forget:
                 self._forget = False
                 self.tracker.reset()
-            t_s, begun = job.frame.stamp.t_mono_s, time.monotonic()
+            job, begun = seen.job, time.monotonic()
             try:
-                tracked = self.tracker.step(job.frame.image, t_s, job.sensor)
+                tracked = self.tracker.follow(seen.features, job.frame.stamp.t_mono_s, job.sensor)
             except UrsnavError as error:
-                self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": str(error)}))
-                if not failed:
-                    logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
-                failed = True
                 self.tracker.reset()  # whatever it was, it must not last
-            else:
-                failed = False
-                self._publish(job, tracked, begun)
-                self._poses.put((_believed(tracked), t_s))
-            with self._done:
-                self._finished = job.number
-                self._done.notify_all()
+                self._fail(job, error)
+                continue
+            self._failing = False
+            self._publish(seen, tracked, begun)
+            self._poses.put((_believed(tracked), job.frame.stamp.t_mono_s))
+            self._finish(job)
 
-    def _publish(self, job: _Job, tracked: Tracked, begun: float) -> None:
+    def _fail(self, job: _Job, error: UrsnavError) -> None:
+        """A picture that cannot be located has a row that says why; the log tells of the first in a row."""
+        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": str(error)}))
+        if not self._failing:
+            logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
+        self._failing = True
+        self._finish(job)
+
+    def _finish(self, job: _Job) -> None:
+        with self._done:
+            self._finished = max(self._finished, job.number)
+            self._done.notify_all()
+
+    def _publish(self, seen: _Seen, tracked: Tracked, begun: float) -> None:
         """Put a picture's pose on the bus and its row among the results."""
+        job = seen.job
         T, name = tracked.T_kidney_camera, self.vid.calyx_name(tracked.calyx)
         if T is not None:
             self._trail.add(T[:3, 3])
         now, level = time.monotonic(), self._governor.level
-        latency = Latency(begun - job.captured_s, now - begun, now - job.captured_s, self._painting_s)
+        total, tracking = now - job.captured_s, now - begun
+        latency = Latency(total - seen.features_s - tracking, seen.features_s, tracking, total, self._painting_s)
+        edges = None if seen.features is None else seen.features.edges
 
         def change(state: NavigationState) -> NavigationState:
             new = replace(
                 state,
                 frame=job.frame,
+                edges=edges,
                 tracking=tracked.state,
                 T_kidney_camera=T,
                 calyx=name,
@@ -205,9 +242,9 @@ class Navigator:
         if now - self._logged_s >= LOG_S:
             self._logged_s = now
             logger.info(
-                "picture %d: waited %.0f ms, tracked in %.0f ms, on the bus after %.0f ms; painted in %.0f ms",
+                "picture %d, ms: waiting %.0f, features %.0f, tracking %.0f, on the bus after %.0f; painting %.0f",
                 job.frame.stamp.sequence,
-                *(1e3 * v for v in (latency.waiting_s, latency.tracking_s, latency.total_s, latency.painting_s)),
+                *(1e3 * seconds for seconds in astuple(latency)),
             )
 
     def _paint(self) -> None:
@@ -255,5 +292,6 @@ def _row(job: _Job, tracked: Tracked, calyx: str, latency: Latency, effort: int)
     if tracked.T_kidney_camera is not None:
         row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
         row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}
-    seconds = {"waiting_s": latency.waiting_s, "tracking_s": latency.tracking_s, "latency_s": latency.total_s}
+    seconds = {"waiting_s": latency.waiting_s, "features_s": latency.features_s, "tracking_s": latency.tracking_s}
+    seconds["latency_s"] = latency.total_s
     return row | {k: round(v, 4) for k, v in seconds.items()} | {"effort": effort}

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.features import EdgePoints
 from ursnav_torch.hardware import Frame
 from ursnav_torch.localization.coverage import CalyxCoverage
 from ursnav_torch.localization.route import Route
@@ -18,13 +19,15 @@ class Latency:
     """Where the time from a picture to its pose went, seconds.
 
     Attributes:
-        waiting_s: from the picture's capture until it was taken up.
-        tracking_s: features, matching, refinement and filter.
+        waiting_s: for a stage to be free, from the picture's capture on.
+        features_s: extracting features.
+        tracking_s: matching, refinement and filter.
         total_s: from capture until the pose was on the bus.
         painting_s: coverage and route, which go on beside and hold nobody up; of the last picture painted.
     """
 
     waiting_s: float = 0.0
+    features_s: float = 0.0
     tracking_s: float = 0.0
     total_s: float = 0.0
     painting_s: float = 0.0
@@ -58,6 +61,7 @@ class NavigationState:
     Attributes:
         version: rises by one with every state.
         frame: the picture that the pose belongs to.
+        edges: the picture's edge points, as they were matched; None where it showed too little.
         tracking: ``tracking``, ``searching`` or ``lost``.
         T_kidney_camera: (4, 4), or None unless tracking.
         calyx: name of the calyx observed; blank for none.
@@ -74,6 +78,7 @@ class NavigationState:
 
     version: int = 0
     frame: Frame | None = None
+    edges: EdgePoints | None = None
     tracking: str = SEARCHING
     T_kidney_camera: Array | None = None
     calyx: str = ""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ursnav_torch.files import whole_file
 from ursnav_torch.geometry import transform_from_quaternion
 from ursnav_torch.hardware import Frame
-from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.localization.coverage import Coverage
 from ursnav_torch.localization.track import TRACKING
 from ursnav_torch.navigation import confidence_words
@@ -33,6 +33,8 @@ LONGEST_GAP_S = 0.25
 #: The path is measured from point to point at least so far apart; longer steps than the last are jumps of the track.
 STEP_MM, JUMP_MM = 0.5, 4.0
 MOMENTS_SHOWN = 12
+#: For a calyx's picture a mm farther from its tip costs as much as this much confidence.
+FAR_COSTS = 0.02
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1080px;color:#222}
 table{border-collapse:collapse;margin:1em 0}td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:left}
@@ -60,7 +62,7 @@ class SessionFigures:
         frame: (N,) its number.
         T_kidney_camera: (M, 4, 4) where the track was believed; ``believed`` (N,) says for which pictures.
         time_in_s: by calyx, and blank for none.
-        best: by calyx the number of the picture that shows it surest.
+        best: by calyx the number of the picture that shows it surest and from near.
         path_mm, speed_mm_s: length of the way, and the median speed while moving.
         moments: doubtful ones.
         latency_ms: median and 95th percentile.
@@ -78,8 +80,8 @@ class SessionFigures:
     latency_ms: tuple[float, float] = (0.0, 0.0)
 
 
-def session_figures(replay: Replay, scale: float = 1.0) -> SessionFigures:
-    """The figures of a session that was navigated; the record's results are used as they are."""
+def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
+    """The figures of a session that was navigated in a kidney; the record's results are used as they are."""
     rows = [(r.frame, r.row) for r in replay.results() if "state" in r.row]
     t = np.array([row["t_s"] for _, row in rows], float)
     t -= t[0] if len(t) else 0.0
@@ -89,13 +91,15 @@ def session_figures(replay: Replay, scale: float = 1.0) -> SessionFigures:
     found = SessionFigures(t, frame, believed, T)
     lasted = np.minimum(np.diff(t, append=t[-1:]), LONGEST_GAP_S)
     surest: dict[str, float] = {}
+    tips = {c.name: c.tip_mm for c in kidney.calyces}
     for (number, row), seconds in zip(rows, lasted, strict=True):
         if row["accepted"]:
             name, sure = str(row["calyx"]), float(row["confidence"])
             found.time_in_s[name] = found.time_in_s.get(name, 0.0) + float(seconds)
-            if name and sure > surest.get(name, 0.0):
-                surest[name], found.best[name] = sure, number
-    found.path_mm, found.speed_mm_s = _way(T[:, :3, 3], t[believed], scale)
+            worth = sure - FAR_COSTS * _from_tip(row, tips.get(name)) / kidney.scale
+            if name and worth > surest.get(name, -np.inf):
+                surest[name], found.best[name] = worth, number
+    found.path_mm, found.speed_mm_s = _way(T[:, :3, 3], t[believed], kidney.scale)
     found.moments = _doubtful([row for _, row in rows], t, frame)
     latency = [1e3 * row["latency_s"] for _, row in rows if "latency_s" in row]
     if latency:
@@ -111,7 +115,7 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
         replay: the record, with results.
         path: of the file.
     """
-    figures = session_figures(replay, vid.kidney.scale)
+    figures = session_figures(replay, vid.kidney)
     coverage = Coverage(vid.kidney, vid.camera, LumenDistance.from_kidney(vid.kidney), vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     for T, seconds in zip(figures.T_kidney_camera, passed, strict=True):
@@ -159,6 +163,11 @@ def _way(positions: Array, t: Array, scale: float) -> tuple[float, float]:
     return float(step[fine].sum()), float(np.median(step[fine] / seconds[fine])) if fine.any() else 0.0
 
 
+def _from_tip(row: dict[str, Any], tip_mm: Array | None) -> float:
+    """Distance of a row's camera from a calyx's tip, mm."""
+    return 0.0 if tip_mm is None else float(np.linalg.norm(tip_mm - [row[c] for c in POSITION]))
+
+
 def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:
     """Stretches without a place, or with one that is not sure."""
     why = [_doubt(row) for row in rows]
@@ -194,7 +203,7 @@ def _summary(figures: SessionFigures, calyces: int) -> str:
     rows = {
         "duration": f"{seconds:.0f} s",
         "pictures located": f"{len(figures.t_s)}, {tracked:.0%} of them with a place that was believed",
-        "calyces entered": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
+        "calyces looked into": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
         "path": f"{figures.path_mm:.0f} mm, {figures.speed_mm_s:.1f} mm/s while moving (median)",
         "picture to pose": f"{figures.latency_ms[0]:.0f} ms median, {figures.latency_ms[1]:.0f} ms 95th percentile",
         "doubtful moments": f"{len(figures.moments)}, {sum(m.to_s - m.from_s for m in figures.moments):.0f} s in all",

@@ -116,8 +116,8 @@ class LivePage:
         every_s = SLOW_PICTURE_S if state.effort else PICTURE_S
         if state.frame is not None and state.frame is not self._shown and now - self._pictured_s >= every_s:
             self._shown, self._pictured_s = state.frame, now
-            plain = self._pictures.scope(state.frame.image, edges=False)
-            pair = self._pictures.pair(state.frame.image, state.T_kidney_camera)
+            plain = self._pictures.scope(state.frame.image)
+            pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
             self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
         with self.server.atomic():
             self._status.content = status_html(state.status)

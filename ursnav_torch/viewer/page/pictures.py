@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import read_image
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import EdgePoints, read_image
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 from ursnav_torch.viewer.report import draw_edges
@@ -26,25 +26,20 @@ class Pictures:
     """
 
     def __init__(self, vid: Vid) -> None:
-        self.vid, self._extractor = vid, vid.extractor()
+        self.vid = vid
         shrink = VIRTUAL_PX / max(vid.camera.width, vid.camera.height)
         self._lens = vid.camera.resized(round(vid.camera.width * shrink), round(vid.camera.height * shrink))
         self._renderer = RaycastRenderer(vid.kidney.mesh, self._lens)
         self._full = RaycastRenderer(vid.kidney.mesh, vid.camera)
 
-    def scope(self, image: Picture, edges: bool = True) -> Picture:
-        """A scope's picture (H, W) or (H, W, 3) blue, green, red, with the edges that are matched."""
-        if edges:
-            try:
-                return _rgb(draw_edges(image, self._extractor.extract(image).edges, _GREEN))
-            except (FeatureError, InputError):
-                pass
-        return _rgb(image)
+    def scope(self, image: Picture, edges: EdgePoints | None = None) -> Picture:
+        """A scope's picture (H, W) or (H, W, 3) blue, green, red, with its edges."""
+        return _rgb(image if edges is None else draw_edges(image, edges, _GREEN))
 
-    def pair(self, image: Picture | None, T_kidney_camera: Array | None) -> Picture:
+    def pair(self, image: Picture | None, edges: EdgePoints | None, T_kidney_camera: Array | None) -> Picture:
         """The scope's picture and what it should see from a pose, side by side; black for None."""
         virtual = self.virtual(T_kidney_camera)
-        scope = np.zeros_like(virtual) if image is None else self.scope(image)
+        scope = np.zeros_like(virtual) if image is None else self.scope(image, edges)
         height = self.vid.camera.height
         sized = [cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height)) for p in (scope, virtual)]
         return np.asarray(np.concatenate(sized, axis=1), np.uint8)

@@ -79,7 +79,8 @@ def look_alikes_html(known: LookAlikes | None, names: Sequence[str]) -> str:
 def latency_html(state: NavigationState, rate: float) -> str:
     """Where the time goes, and what is left out for it."""
     t = state.latency
-    stages = f"waited {1e3 * t.waiting_s:.0f}, tracked {1e3 * t.tracking_s:.0f}, painted {1e3 * t.painting_s:.0f} ms"
+    parts = {"waiting": t.waiting_s, "features": t.features_s, "tracking": t.tracking_s, "painting": t.painting_s}
+    stages = ", ".join(f"{name} {1e3 * seconds:.0f}" for name, seconds in parts.items())
     return (
         '<div class="ursnav-latency" style="padding:0 .8em;font-size:.85em;color:#555">'
         f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}</div>"
