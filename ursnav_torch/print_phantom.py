@@ -23,9 +23,7 @@ def main(config: Any) -> None:
     print(f"calyces crossed by the seam: {crossed}; thinnest wall {check.thinnest_wall_mm:.2f} mm")
     if check.thinnest_septum_mm < 0.9 * phantom.wall_mm:
         print(f"between neighboring parts of the lumen the wall is the anatomy's: {check.thinnest_septum_mm:.2f} mm")
-    print(
-        f"{len(phantom.landmarks_mm)} landmarks in {out / 'landmarks.csv'}; build the VID with the same kidney and scale"
-    )
+    print(f"landmarks to touch: {out / 'landmarks.csv'}; build the VID with the same kidney and kidney.scale")
 
 
 if __name__ == "__main__":

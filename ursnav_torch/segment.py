@@ -18,9 +18,7 @@ def main(config: Any) -> None:
     if chosen.func is not load_ct_kidney:
         raise InputError("Only scans are segmented: kidney=ct. A mesh or a phantom goes straight into build_vid.")
     landmarks = None if config.landmarks is None else caller_path(config.landmarks)
-    kidney = segment_scan(
-        out, landmarks=landmarks, overwrite=config.overwrite, progress=progress, **chosen.keywords
-    )
+    kidney = segment_scan(out, landmarks=landmarks, overwrite=config.overwrite, progress=progress, **chosen.keywords)
     poles = ", ".join(f"{c.name} {c.pole}" for c in kidney.calyces)
     print(f"{kidney.mesh.volume / 1000:.2f} mL, {len(kidney.mesh.faces)} triangles; calyces: {poles}")
     print(f"Look at {out / 'preview.png'} before using {out / 'lumen.stl'}.")

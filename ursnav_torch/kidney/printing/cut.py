@@ -6,6 +6,7 @@ observed: its own branch, up to 14 mm from the tip (at scale 1).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,19 +58,24 @@ def calyx_regions(kidney: Kidney) -> tuple[Array, ...]:
     return tuple(regions)
 
 
-def find_cut(kidney: Kidney, wall_mm: float) -> Cut:
-    """The best plane for a phantom with walls of ``wall_mm``.
+def find_cut(kidney: Kidney, wall_mm: float, solid: Any = None) -> Cut:
+    """The best plane for a phantom with walls of ``wall_mm``; ``solid``, its outside, is split to be sure.
 
     Raises:
         InputError: no plane leaves two connected parts of fair size.
     """
     body = Body.of(kidney, wall_mm)
     for cut in candidate_cuts(kidney, body):
-        if body.parts_are_whole(cut):
+        if body.parts_are_whole(cut) and (solid is None or _splits_in_two(solid, cut)):
             return cut
     raise InputError(
         f"No plane parts {kidney.source} into two connected pieces of at least {100 * SMALLEST_SHARE:.0f} % each."
     )
+
+
+def _splits_in_two(solid: Any, cut: Cut) -> bool:
+    parts = solid.split_by_plane(cut.normal.tolist(), cut.offset_mm)
+    return all(len(part.decompose()) == 1 for part in parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,20 +7,21 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress, no_progress
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.printing.cut import Cut, find_cut
 from ursnav_torch.kidney.printing.shell import outer_surface, ureter_end
-from ursnav_torch.kidney.printing.solid import frame_along, manifold3d, mesh_of, rod, solid_of
+from ursnav_torch.kidney.printing.solid import manifold3d, mesh_of, rod, solid_of
 
 Array = NDArray[np.float64]
 
 #: Pins and the lugs that carry them, mm; play is what a pin's hole is wider by, all around.
 _PIN_MM, _PIN_LONG_MM, _PLAY_MM, _LUG_MM, _LUG_LONG_MM = 1.5, 4.0, 0.1, 3.6, 6.0
 _PINS = 3
+#: Lugs sit where the outside is this steep to the plane (cosine), this deep in the wall, mm.
+_STEEP, _LUG_IN_MM = 0.35, 1.6
 #: Knobs with a dimple for the EM probe's tip, mm.
 _KNOB_MM, _DIMPLE_MM, _DIMPLE_DEEP_MM = 2.6, 1.0, 1.2
 _LANDMARKS = 8
@@ -78,14 +79,14 @@ def make_printed_phantom(
         lumen = solid_of(large.mesh, kidney.source)
         outer = solid_of(outer_surface(large.mesh, wall_mm), kidney.source).simplify(_LIGHTER_MM)
         advance(1)
-        cut = find_cut(large, wall_mm)
+        cut = find_cut(large, wall_mm, outer)
         advance(1)
         pins = _pin_places(outer, cut)
         lugs = [_along(pin, cut.normal, _LUG_LONG_MM, _LUG_MM) for pin in pins]
-        landmarks, knobs, dimples = _landmarks(mesh_of(outer), cut, pins)
         mouth = _mouth(large)
+        landmarks, knobs, dimples = _landmarks(mesh_of(outer), cut, pins, mouth)
         drill = [] if mouth is None else [_drill(mouth, wall_mm + 6 * scale)]
-        shell = _sum(outer, [*lugs, *knobs]) - _sum(lumen, [*dimples, *drill])
+        shell = _largest(_sum(outer, [*lugs, *knobs]) - _sum(lumen, [*dimples, *drill]))
         advance(1)
         halves = _halves(shell, cut, pins)
         advance(1)
@@ -97,6 +98,11 @@ def _sum(first: Any, others: list[Any]) -> Any:
     for other in others:
         total = total + other
     return total
+
+
+def _largest(solid: Any) -> Any:
+    """The largest piece: a boolean operation can leave crumbs where surfaces touch."""
+    return max(solid.decompose(), key=lambda piece: piece.volume())
 
 
 def _along(middle: Array, normal: Array, length: float, radius: float) -> Any:
@@ -121,27 +127,33 @@ def _drill(mouth: tuple[Array, Array, float], length: float) -> Any:
 
 
 def _pin_places(outer: Any, cut: Cut) -> Array:
-    """(P, 3) on the plane, just outside the body and far from each other."""
-    R = frame_along(cut.normal)
-    section = mesh_of(outer).section(plane_origin=cut.normal * cut.offset_mm, plane_normal=cut.normal)
-    flat = (np.asarray(section.vertices) @ R)[:, :2]
-    hull = flat[ConvexHull(flat).vertices]
-    outward = hull - hull.mean(axis=0)
-    places = hull + outward / np.linalg.norm(outward, axis=1, keepdims=True) * (_LUG_MM - 1.6)
-    chosen = [int(np.linalg.norm(outward, axis=1).argmax())]
+    """(P, 3) on the plane, just outside the body and far from each other, where the body goes on on both sides."""
+    mesh = mesh_of(outer)
+    segments, face = trimesh.intersections.mesh_plane(mesh, cut.normal, cut.normal * cut.offset_mm, return_faces=True)
+    points, normals = segments.mean(axis=1), mesh.face_normals[face]
+    slant = np.abs(normals @ cut.normal)
+    steep = slant <= max(_STEEP, float(np.quantile(slant, 0.2)))
+    outward = normals - np.outer(normals @ cut.normal, cut.normal)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    places = (points + outward * (_LUG_MM - _LUG_IN_MM))[steep]
+    chosen = [int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmax())]
     for _ in range(_PINS - 1):
         apart = np.linalg.norm(places[:, None] - places[chosen], axis=-1).min(axis=1)
         chosen.append(int(apart.argmax()))
-    return np.column_stack([places[chosen], np.full(_PINS, cut.offset_mm)]) @ R.T
+    return places[chosen]
 
 
-def _landmarks(outer: trimesh.Trimesh, cut: Cut, pins: Array) -> tuple[Array, list[Any], list[Any]]:
+def _landmarks(
+    outer: trimesh.Trimesh, cut: Cut, pins: Array, mouth: tuple[Array, Array, float] | None
+) -> tuple[Array, list[Any], list[Any]]:
     """Bottoms of the dimples (L, 3), spread over the outside, with the knobs and the dimples themselves."""
     m = manifold3d()
     points, face = trimesh.sample.sample_surface(outer, 4000, seed=0)
     points, normals = np.asarray(points), outer.face_normals[face]
     free = np.abs(points @ cut.normal - cut.offset_mm) > 1.5 * _LUG_MM
     free &= np.linalg.norm(points[:, None] - pins, axis=-1).min(axis=1) > 3 * _LUG_MM
+    if mouth is not None:
+        free &= np.linalg.norm(points - mouth[0], axis=1) > 3 * mouth[2] + 2 * _KNOB_MM
     rays = outer.ray.intersects_any(points + 0.05 * normals, normals)
     points, normals = points[free & ~rays], normals[free & ~rays]
     chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]
@@ -159,7 +171,7 @@ def _landmarks(outer: trimesh.Trimesh, cut: Cut, pins: Array) -> tuple[Array, li
 
 def _halves(shell: Any, cut: Cut, pins: Array) -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
     """Split at the plane; the first half, on the normal's side, gets the pins, the second their holes."""
-    first, second = shell.split_by_plane(cut.normal.tolist(), cut.offset_mm)
+    first, second = (_largest(part) for part in shell.split_by_plane(cut.normal.tolist(), cut.offset_mm))
     for pin in pins:
         base, tip = pin + 0.4 * _PIN_LONG_MM * cut.normal, pin - 0.5 * _PIN_LONG_MM * cut.normal
         first = first + rod(base, tip, _PIN_MM)

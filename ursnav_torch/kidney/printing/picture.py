@@ -13,19 +13,19 @@ from ursnav_torch.kidney.printing.solid import frame_along
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_SIDE_PX = 620
+_SIDE_PX = 560
 _FIRST, _SECOND, _DOT = (130, 195, 240), (215, 190, 140), (60, 60, 255)
 
 
 def print_picture(phantom: PrintedPhantom) -> Picture:
     """(H, W, 3) uint8, blue green red: both halves pulled apart and seen from the side, then each cut face."""
     center = phantom.shell.bounds.mean(axis=0)
-    scale = 0.8 * _SIDE_PX / float(np.linalg.norm(phantom.shell.extents))
+    scale = 1.1 * _SIDE_PX / float(np.linalg.norm(phantom.shell.extents))
     normal = phantom.cut.normal
     aside = _view(frame_along(normal)[:, 0], normal, center)
     apart = _panel("pulled apart, landmarks L1, L2, ... on the outside")
     for half, sign, color in ((0, 1, _FIRST), (1, -1, _SECOND)):
-        moved = phantom.halves[half].copy()
+        moved = _fine(phantom.halves[half])
         moved.apply_translation(sign * 8.0 * normal)
         paint_surface(apart, moved, aside, scale, color)
     _mark(apart, phantom, aside, scale)
@@ -33,9 +33,14 @@ def print_picture(phantom: PrintedPhantom) -> Picture:
     for half, sign, color in ((0, 1, _FIRST), (1, -1, _SECOND)):
         panel = _panel(f"half {'AB'[half]}, onto its cut face")
         view = _view(sign * normal, frame_along(normal)[:, 0], center)
-        paint_surface(panel, phantom.halves[half], view, scale, color)
+        paint_surface(panel, _fine(phantom.halves[half]), view, scale, color)
         faces.append(panel)
     return np.asarray(np.hstack([apart, *faces]), np.uint8)
+
+
+def _fine(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Triangles small enough to be drawn in order of their distance."""
+    return trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 1.5, 30), process=False)
 
 
 def _panel(title: str) -> Picture:
