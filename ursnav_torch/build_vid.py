@@ -31,7 +31,7 @@ def main(config: Any) -> None:
         plan,
         out,
         overwrite=config.overwrite,
-        workers=config.workers,
+        compute=instantiate(config.compute),
         progress=progress,
         learn=learn,
     )

@@ -2,6 +2,7 @@
 
 from ursnav_torch.vid.base import Vid, ViewFeatures
 from ursnav_torch.vid.build import build_vid
+from ursnav_torch.vid.compute import Compute, DaskCompute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
 from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_views
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
@@ -10,6 +11,9 @@ from ursnav_torch.vid.store import POSE_COLUMNS, load_vid, pose_cells, poses_fro
 __all__ = [
     "POSE_COLUMNS",
     "CollectedViews",
+    "Compute",
+    "DaskCompute",
+    "LocalCompute",
     "MakeRenderer",
     "Plan",
     "PlanSettings",

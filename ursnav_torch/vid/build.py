@@ -1,20 +1,15 @@
-"""Building a VID: plan, draw in shards on all cores, join, and give it its name when all is there."""
+"""Building a VID: plan, draw in shards on all cores or a cluster, join, and give it its name when all is there."""
 
 import hashlib
 import json
 import os
 import shutil
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+import socket
+from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ursnav_torch.camera import Camera
@@ -22,6 +17,7 @@ from ursnav_torch.features import Settings, settings_to_dict
 from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.vid.base import Vid
+from ursnav_torch.vid.compute import Compute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, join, load_features, save_features
 from ursnav_torch.vid.exchange import CollectedViews
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
@@ -43,6 +39,7 @@ def build_vid(
     *,
     overwrite: bool = False,
     workers: int | None = None,
+    compute: Compute | None = None,
     progress: Progress = no_progress,
     learn: Callable[..., dict[str, object]] | None = None,
 ) -> Vid:
@@ -56,22 +53,25 @@ def build_vid(
         out: the folder to be made.
         overwrite: replace what stands there.
         workers: processes; all cores when None, none besides this one when 1.
+        compute: where views are planned and drawn; ``LocalCompute(workers)`` when None.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
         learn: called as ``learn(vid, progress=progress)`` with the drawn VID; what it returns is stored as the VID's
             calibration.
 
     Raises:
-        InputError: ``out`` exists, a calyx has no room for the scope, or collected views do not fit kidney or lens.
+        InputError: ``out`` exists, a calyx has no room for the scope, collected views do not fit kidney or lens, or a
+            cluster does not do its part.
     """
     check_output(out, overwrite)
-    lumen = LumenDistance.from_kidney(kidney)
-    views = plan_views(kidney, lumen, plan) if isinstance(plan, PlanSettings) else plan.plan(kidney, lumen)
+    compute = compute or LocalCompute(workers)
+    compute.check_folder(out.parent)
+    views = _planned(kidney, plan, compute)
     pictures = () if isinstance(plan, PlanSettings) else plan.pictures
     work = partial_path(out)
     studio = Studio(kidney.mesh, camera, settings, make_renderer, pictures)
     _prepare(work, _fingerprint(studio, views))
     with progress(len(views.calyx), "views") as advance:
-        _draw_all(studio, views.T_kidney_camera, work, workers or os.cpu_count() or 1, advance)
+        _draw_all(studio, views.T_kidney_camera, work, compute, advance)
     shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
     vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
     if learn is not None:
@@ -93,73 +93,48 @@ def _prepare(work: Path, fingerprint: str) -> None:
     mark.write_text(fingerprint)
 
 
-def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, workers: int, advance: Advance) -> None:
+def _planned(kidney: Kidney, plan: PlanSettings | CollectedViews, compute: Compute) -> Plan:
+    if not isinstance(plan, PlanSettings):
+        return plan.plan(kidney, LumenDistance.from_kidney(kidney))
+    return next(iter(list(compute.map(_plan, kidney, [(plan,)]))))
+
+
+def _plan(kidney: Kidney, settings: PlanSettings) -> Plan:
+    return plan_views(kidney, LumenDistance.from_kidney(kidney), settings)
+
+
+def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, compute: Compute, advance: Advance) -> None:
     """Draw what is missing of shards 0, 1, ... of ``SHARD`` views each."""
     todo = []
     for shard, start in enumerate(range(0, len(T), SHARD)):
         if _shard_path(work, shard).exists():
             advance(len(T[start : start + SHARD]))
         else:
-            todo.append((shard, start, T[start : start + SHARD]))
-    workers = min(workers, len(todo))
-    if workers <= 1:
-        with _one_thread():
-            for task in todo:
-                advance(draw_shard(studio, work, *task))
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
-        pending = {pool.submit(draw_shard, studio, work, *task) for task in todo}
-        try:
-            for done in _as_they_end(pending):
-                advance(done)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+            todo.append((work, shard, start, T[start : start + SHARD]))
+    for drawn in compute.map(draw_shard, studio, todo) if todo else ():
+        advance(drawn)
 
 
 def draw_shard(studio: Studio, work: Path, shard: int, first: int, T: NDArray[np.float64]) -> int:
-    """Draw views ``first``... and store their features as one shard; the number of views."""
-    features = studio.draw(T, first, work / "images")
+    """Draw views ``first``... and store their features as one shard; the number of views.
+
+    Pictures and features get their names one by one when they are whole, the features last: the same shard may be
+    drawn by two workers of which one was thought lost, and either leaves the same bytes.
+    """
     path = _shard_path(work, shard)
-    save_features(partial_path(path), features)
-    os.replace(partial_path(path), path)
+    own = path.with_name(f"{path.stem}.{socket.gethostname()}.{os.getpid()}")
+    own.mkdir(exist_ok=True)
+    features = studio.draw(T, first, own)
+    save_features(own / path.name, features)
+    for picture in own.glob("*.png"):
+        os.replace(picture, work / "images" / picture.name)
+    os.replace(own / path.name, path)
+    own.rmdir()
     return len(T)
-
-
-def _as_they_end(pending: set[Future[int]]) -> Iterator[int]:
-    while pending:
-        done, pending = wait(pending, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield future.result()
 
 
 def _shard_path(work: Path, shard: int) -> Path:
     return work / "shards" / f"{shard:05d}.safetensors"
-
-
-def _start_worker() -> None:
-    """One thread a worker; the first process alone answers Ctrl-C, and no worker outlives it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Operations on pictures are too small to share, and as many threads as in a worker give the same bytes."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _fingerprint(studio: Studio, views: Plan) -> str:
