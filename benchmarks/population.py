@@ -3,7 +3,8 @@
 Every phantom gets a VID of its own with confidence learned from its own simulated pictures, and is then asked with
 others: 3 pictures a calyx and kind of sensor faults. Arguments, each ``key=value``: ``phantoms=20`` ``pictures=3``
 ``views=240`` (a calyx) ``work=DIR`` (keeps each phantom's answers;
-the same call goes on from there) ``out=FILE.json``.
+the same call goes on from there) ``out=FILE.json`` ``compute=local`` (or the address of a Dask scheduler, ``tcp://...``:
+its workers take a phantom each, and ``work`` is a folder that all of them share).
 """
 
 import json
@@ -28,19 +29,20 @@ from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer, learn_confidence, simulated_queries
 from ursnav_torch.rendering import HeadLight, RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, none_pictures
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import DaskCompute, PlanSettings, Vid, build_vid, load_vid
 
-DEFAULTS = {"phantoms": 20, "pictures": 3, "views": 240, "work": "", "out": ""}
+DEFAULTS = {"phantoms": 20, "pictures": 3, "views": 240, "work": "", "out": "", "compute": "local"}
 MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
-    report = Report("population", {k: v for k, v in settings.items() if k not in ("out", "work")})
+    report = Report("population", {k: v for k, v in settings.items() if k not in ("out", "work", "compute")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         work.mkdir(parents=True, exist_ok=True)
+        _spread(settings, work)
         answers = []
         for seed in range(settings["phantoms"]):
             answers += phantom_answers(seed, settings, work)
@@ -51,22 +53,41 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def phantom_answers(seed: int, settings: dict[str, Any], work: Path) -> list[dict[str, Any]]:
+def _spread(settings: dict[str, Any], work: Path) -> None:
+    """Let a cluster answer for the phantoms; its answers are then taken up as those of an interrupted run are."""
+    if settings["compute"] == "local":
+        return
+    compute = DaskCompute(settings["compute"])
+    compute.check_folder(work.absolute())
+    tasks = [(seed, settings, work.absolute()) for seed in range(settings["phantoms"])]
+    for done, _ in enumerate(compute.map(_answer_there, None, tasks)):
+        print(f"{done + 1} phantoms answered", file=sys.stderr)
+
+
+def _answer_there(_: None, seed: int, settings: dict[str, Any], work: Path) -> int:
+    return len(phantom_answers(seed, settings, work, workers=1))
+
+
+def phantom_answers(
+    seed: int, settings: dict[str, Any], work: Path, workers: int | None = None
+) -> list[dict[str, Any]]:
     """Answers to one phantom's pictures, from the work folder where they lie there already."""
     path = work / f"phantom_{seed:03d}_{settings['views']}_{settings['pictures']}.json"
     if not path.exists():
         plan = PlanSettings(views_per_calyx=settings["views"])
-        vid = _vid(seed, plan, work / f"vid_{seed:03d}_{settings['views']}")
+        vid = _vid(seed, plan, work / f"vid_{seed:03d}_{settings['views']}", workers)
         write_json(path, {"answers": _ask(vid, plan, settings["pictures"], seed)})
     return list(json.loads(path.read_text(encoding="utf-8"))["answers"])
 
 
-def _vid(seed: int, plan: PlanSettings, out: Path) -> Vid:
+def _vid(seed: int, plan: PlanSettings, out: Path, workers: int | None) -> Vid:
     if (out / "vid.json").exists():
         return load_vid(out)
     learn = partial(learn_confidence, make_renderer=MAKE_RENDERER, plan=plan)
     kidney = make_phantom_kidney(seed=1000 + seed)
-    return build_vid(kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, learn=learn)
+    return build_vid(
+        kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, workers=workers, learn=learn
+    )
 
 
 def _ask(vid: Vid, plan: PlanSettings, pictures: int, seed: int) -> list[dict[str, Any]]:
