@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._em import OFFSET_MM, Drive
+from benchmarks._em import OFFSET_MM, Drive, drive_through
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
 from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import apply, inverse
-from ursnav_torch.kidney import Kidney, load_mesh_kidney
+from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
 from ursnav_torch.registration import Registration, branch_directions, read_em_samples, register_centerline
 from ursnav_torch.vid import poses_from_rows
 
@@ -47,6 +47,15 @@ def test_mirrored_data_are_refused(phantom: Kidney, drive: Drive) -> None:
     position, axis = drive.position_em * [1, 1, -1], drive.axis_em * [1, 1, -1]
     with pytest.raises(RegistrationError, match="Mirrored, the path's samples would fit this kidney better"):
         register_centerline(position, axis, phantom.mesh, phantom.centerline, sensor_offset_mm=OFFSET_MM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("calyces", "other"), [(range(0, 3), 10), (range(3, 7), 12)])
+def test_half_a_path_does_not_fit_another_kidney(calyces: range, other: int) -> None:
+    own, wrong = make_phantom_kidney(11), make_phantom_kidney(other)
+    half = drive_through(own, calyces, 1)
+    with pytest.raises(RegistrationError, match="another kidney's"):
+        register_centerline(half.position_em, half.axis_em, wrong.mesh, wrong.centerline, sensor_offset_mm=OFFSET_MM)
 
 
 def test_a_straight_path_is_refused(phantom: Kidney) -> None:

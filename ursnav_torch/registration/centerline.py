@@ -45,6 +45,9 @@ _MIDDLE_MM = 1.0
 _HEADING_RAD, _HEADING_PART = 1.0, 0.7
 #: A path with a larger part of its samples more than 1 mm outside the lumen does not belong into this kidney.
 _MOST_OUTSIDE = 0.05
+#: Nor does one that keeps off the centerline: RMS distance as a part of the lumen's median radius. Explorations
+#: of their own kidney, whole or half, come to 0.5 to 1.2, halves laid into another kidney to 2.7 and more.
+_MOST_OFF = 1.8
 #: What the rule "the tip keeps to the middle" is wrong by, as a part of the lumen's median radius, where the camera's
 #: place is known and where it is not (`python -m benchmarks.registration`).
 _SYSTEMATIC, _SYSTEMATIC_ALONE = 0.75, 1.0
@@ -120,7 +123,7 @@ def register_centerline(
     field = DistanceField.from_mesh(mesh)
     solution = solve(_problem(position, direction, field, centerline, ahead))
     registration = _registration(solution, position, direction, field, centerline, ahead)
-    _refuse_unless_inside(registration)
+    _refuse_unless_inside(registration, float(np.median(centerline.radius_mm)))
     tre = float(np.sqrt(np.mean(registration.tre_mm(centerline.points_mm) ** 2)))
     refuse_unless_determined(solution, tre, max_error_mm, "path's samples")
     mirrored = _problem(position * [-1, 1, 1], direction * [-1, 1, 1], field, centerline, ahead)
@@ -240,7 +243,7 @@ def _registration(
     )
 
 
-def _refuse_unless_inside(registration: Registration) -> None:
+def _refuse_unless_inside(registration: Registration, radius_mm: float) -> None:
     assert registration.report is not None
     outside, heading = registration.report["outside"], registration.report["heading_deg"]
     if outside > _MOST_OUTSIDE:
@@ -248,6 +251,12 @@ def _refuse_unless_inside(registration: Registration) -> None:
             f"The path does not fit this kidney: in its best place {outside:.0%} of it lie more than 1 mm outside the "
             f"lumen ({_MOST_OUTSIDE:.0%} are accepted). Check side, scale, units (mm) and handedness, and that the "
             "path holds only what was recorded inside the kidney."
+        )
+    if registration.fre_rmse_mm > _MOST_OFF * radius_mm:
+        raise RegistrationError(
+            f"The path does not fit this kidney: in its best place it keeps {registration.fre_rmse_mm:.1f} mm RMS off "
+            f"the centerline of a lumen of {radius_mm:.1f} mm radius ({_MOST_OFF * radius_mm:.1f} mm are accepted). Is "
+            "it another kidney's? Else explore more calyces, or touch landmarks."
         )
     if heading > 90:
         raise RegistrationError(

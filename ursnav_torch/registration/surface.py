@@ -146,9 +146,9 @@ def _refuse_path(points: Array, axis: Array, mesh: trimesh.Trimesh) -> None:
     if np.median(onto) < _LEAST_ONTO:
         angle = np.degrees(np.arcsin(np.median(onto)))
         raise RegistrationError(
-            f"The sensor's axis runs along the wall (median angle {angle:.0f} degrees), as on a scope's way through the "
-            "lumen. For a path take registration=centerline; where points were touched with the side of the sensor, "
-            "leave the columns dx,dy,dz out."
+            f"The sensor's axis runs along the wall (median angle {angle:.0f} degrees), as on a scope's way through "
+            "the lumen. For a path take registration=centerline; where points were touched with the side of the "
+            "sensor, leave the columns dx,dy,dz out."
         )
 
 
