@@ -1,12 +1,13 @@
 """The loop: pictures in, states out."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.hardware import Frame, Stamp
+from ursnav_torch.hardware import Frame, Joints, RobotSample, Stamp
 from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Governor, Navigator, Player, hold_navigation
 from ursnav_torch.session import Recorder, Replay, Result
@@ -92,6 +93,34 @@ def test_a_picture_of_another_size_costs_one_row(navigator, vid, renderer):
         assert navigator.wait()
         rows = [r.row for r in navigator.results()]
     assert "error" in rows[0] and rows[1]["state"] == "searching"
+
+
+def test_a_fault_in_one_picture_neither_ends_navigation_nor_is_hidden(navigator, vid, renderer, monkeypatch):
+    shots = [frame for frame, _ in frames(vid, renderer, pictures=3)]
+    with navigator:
+        with monkeypatch.context() as broken:
+            broken.setattr(navigator.tracker, "follow", lambda *_: 1 / 0)
+            navigator.take(shots[0])
+            assert navigator.wait()
+        assert "ZeroDivisionError" in navigator.bus.latest().notice
+        navigator.take(shots[1])
+        assert navigator.wait() and navigator.located == 1
+
+
+def test_an_old_pose_and_a_stopped_robot_are_said(navigator, vid, renderer, monkeypatch):
+    monkeypatch.setattr("ursnav_torch.navigation.navigator.STALE_S", 0.2)
+    frame = next(frames(vid, renderer))[0]
+    with navigator:
+        navigator.take(RobotSample(frame.stamp, Joints(), False, "stopped"))
+        assert "The robot is stopped." in navigator.bus.latest().status
+        navigator.take(frame)
+        assert navigator.wait()
+        until = time.monotonic() + 5
+        while not navigator.bus.latest().stale and time.monotonic() < until:
+            time.sleep(0.02)
+        assert "No new picture." in navigator.bus.latest().status
+        navigator.take(replace(frame, stamp=Stamp(1, frame.stamp.t_mono_s + 0.1, 0.0)))
+        assert navigator.wait() and not navigator.bus.latest().stale
 
 
 def test_less_effort_costs_less_and_keeps_the_track(tracker, vid, renderer):

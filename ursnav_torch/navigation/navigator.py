@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.features import Features
 from ursnav_torch.hardware import Frame, Note, RobotSample, Stamper, TrackerSample
+from ursnav_torch.hardware.safety import STOPPED
 from ursnav_torch.localization.route import ScopeLimits
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
 from ursnav_torch.localization.track_search import SensorReading
@@ -35,6 +36,8 @@ logger = logging.getLogger(__name__)
 REMEMBERED, LOG_S = 20_000, 10.0
 #: The way on need not be found anew more often than this.
 GUIDE_S = 0.1
+#: A pose older than this is said to be old.
+STALE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,7 @@ class Navigator:
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
         self._given = self._finished = 0
         self._forget = self._choose_again = self._failing = False
-        self._logged_s, self._painting_s = time.monotonic(), 0.0
+        self._logged_s, self._published_s, self._painting_s = time.monotonic(), 0.0, 0.0
         self._threads: list[threading.Thread] = []
 
     @property
@@ -110,7 +113,7 @@ class Navigator:
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = self._sensor(event)
         elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:
-            self.bus.update(lambda state: replace(state, robot=event.state))
+            self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
         elif isinstance(event, Note) and event.level != "info":
             self.bus.update(lambda state: replace(state, notice=event.text))
 
@@ -166,7 +169,7 @@ class Navigator:
             begun = time.monotonic()
             try:
                 features = self.tracker.extract(job.frame.image)
-            except UrsnavError as error:
+            except Exception as error:  # one picture must not end navigation
                 self._fail(job, error)
                 continue
             self._seen.put(_Seen(job, features, time.monotonic() - begun))
@@ -183,7 +186,7 @@ class Navigator:
             job, begun = seen.job, time.monotonic()
             try:
                 tracked = self.tracker.follow(seen.features, job.frame.stamp.t_mono_s, job.sensor)
-            except UrsnavError as error:
+            except Exception as error:
                 self.tracker.reset()  # whatever it was, it must not last
                 self._fail(job, error)
                 continue
@@ -192,11 +195,16 @@ class Navigator:
             self._poses.put((_believed(tracked), job.frame.stamp.t_mono_s))
             self._finish(job)
 
-    def _fail(self, job: _Job, error: UrsnavError) -> None:
+    def _fail(self, job: _Job, error: Exception) -> None:
         """A picture that cannot be located has a row that says why; the log tells of the first in a row."""
-        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": str(error)}))
+        expected = isinstance(error, UrsnavError)
+        text = str(error) if expected else f"{type(error).__name__}: {error}"
+        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, {"error": text}))
+        self.bus.update(lambda state: replace(state, notice=text))
         if not self._failing:
-            logger.warning("picture %d: %s", job.frame.stamp.sequence, error)
+            logger.warning(
+                "picture %d: %s", job.frame.stamp.sequence, text, exc_info=not isinstance(error, UrsnavError)
+            )
         self._failing = True
         self._finish(job)
 
@@ -217,22 +225,24 @@ class Navigator:
         edges = None if seen.features is None else seen.features.edges
 
         def change(state: NavigationState) -> NavigationState:
-            new = replace(
-                state,
-                frame=job.frame,
-                edges=edges,
-                tracking=tracked.state,
-                T_kidney_camera=T,
-                calyx=name,
-                confidence=float(tracked.confidence),
-                path_mm=self._trail.points(),
-                latency=latency,
-                effort=level,
+            return _worded(
+                replace(
+                    state,
+                    frame=job.frame,
+                    edges=edges,
+                    tracking=tracked.state,
+                    T_kidney_camera=T,
+                    calyx=name,
+                    confidence=float(tracked.confidence),
+                    path_mm=self._trail.points(),
+                    latency=latency,
+                    effort=level,
+                    stale=False,
+                )
             )
-            return replace(new, status=_status(new))
 
         self.bus.update(change)
-        self.located += 1
+        self.located, self._published_s = self.located + 1, now
         self.latencies.append(latency)
         self._results.append(Result(self._stamp(), job.frame.stamp.sequence, _row(job, tracked, name, latency, level)))
         new_level = self._governor.observe(latency.total_s)
@@ -263,16 +273,14 @@ class Navigator:
                 self._show(T)
                 due = begun + GUIDE_S
                 self._painting_s = time.monotonic() - begun
+            if self.located and begun - self._published_s > STALE_S and not self.bus.latest().stale:
+                self.bus.update(lambda state: _worded(replace(state, stale=True)))
 
     def _show(self, T: Array | None) -> None:
         """Publish coverage and route beside the newest pose."""
         guidance = self.guide.guidance(T)
 
-        def change(state: NavigationState) -> NavigationState:
-            new = replace(state, guidance=guidance)
-            return replace(new, status=_status(new))
-
-        self.bus.update(change)
+        self.bus.update(lambda state: _worded(replace(state, guidance=guidance)))
 
 
 def _believed(tracked: Tracked) -> Array | None:
@@ -280,10 +288,13 @@ def _believed(tracked: Tracked) -> Array | None:
     return tracked.T_kidney_camera if tracked.state == TRACKING and np.isfinite(tracked.score) else None
 
 
-def _status(state: NavigationState) -> str:
+def _worded(state: NavigationState) -> NavigationState:
+    """A state with its line of plain words."""
     g = state.guidance
-    remark = WORDS[state.effort]
-    return status_line(state.tracking, state.calyx, g.place, state.confidence, g.coverage, g.route, g.turn, remark)
+    remarks = ["No new picture."] * state.stale + ["The robot is stopped."] * (state.robot == STOPPED)
+    remark = " ".join([*remarks, WORDS[state.effort]]).strip()
+    line = status_line(state.tracking, state.calyx, g.place, state.confidence, g.coverage, g.route, g.turn, remark)
+    return replace(state, status=line)
 
 
 def _row(job: _Job, tracked: Tracked, calyx: str, latency: Latency, effort: int) -> dict[str, Any]:

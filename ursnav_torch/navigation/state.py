@@ -70,6 +70,7 @@ class NavigationState:
         path_mm: (N, 3) where the scope has been, kidney frame; a jump of the track is one long step.
         latency: of this picture.
         effort: 0 for all that tracking can do; more when a slow machine makes it spend less, see `effort.WORDS`.
+        stale: no picture has been located for a while; the pose is old.
         robot: ``disarmed``, ``armed``, ``stopped``, or blank without a robot.
         notice: the last warning of a device.
         status: all of it in one line of plain words.
@@ -87,6 +88,7 @@ class NavigationState:
     path_mm: Array = field(default_factory=lambda: np.zeros((0, 3)))
     latency: Latency = field(default_factory=Latency)
     effort: int = 0
+    stale: bool = False
     robot: str = ""
     notice: str = ""
     status: str = ""
