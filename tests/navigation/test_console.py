@@ -2,7 +2,7 @@
 
 import time
 
-from ursnav_torch.hardware import Gamepad, OperatorInput
+from ursnav_torch.hardware import Gamepad, OperatorInput, SafetyGate, TwinPilot
 from ursnav_torch.navigation import Console
 
 
@@ -66,3 +66,41 @@ def test_nonsense_from_a_page_moves_nothing():
     with Console(None, may_drive=True) as console:
         console.drive("../../etc/passwd")
         assert not console.read().dead_man
+
+
+class FakePilot(TwinPilot):
+    def __init__(self):
+        Gamepad.__init__(self)
+        self.over = False
+
+    def read(self):
+        return OperatorInput(self._stamp(), insertion=1.0, dead_man=True, quit=self.over)
+
+    def _open(self): ...
+
+
+def test_a_pilot_is_armed_again_by_itself_but_not_after_a_stop():
+    robot = FakeRobot()
+    robot.gate = SafetyGate()
+    with Console(FakePilot(), robot, may_drive=True, stay=True) as console:
+        assert console.read().arm
+        robot.gate.arm()
+        assert not console.read().arm and console.read().insertion == 1.0
+        console.emergency_stop()
+        console.read()
+        robot.gate.disarm()  # as after the stop was acknowledged
+        read = console.read()
+        assert console.by_hand and not read.arm and not read.dead_man
+        console.give_to_pilot(True)
+        assert console.read().arm and console.read().insertion == 1.0
+
+
+def test_a_pilot_that_has_finished_leaves_the_scope_to_the_page():
+    robot = FakeRobot()
+    robot.gate = SafetyGate()
+    pilot = FakePilot()
+    with Console(pilot, robot, may_drive=True, stay=True) as console:
+        pilot.over = True
+        assert not console.read().quit and console.by_hand
+    with Console(pilot, robot, may_drive=True, stay=False) as console:
+        assert console.read().quit
