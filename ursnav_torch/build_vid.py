@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import caller_path, progress, runner
 
 
-@runner("build_vid", paths=("views.path",))
+@runner("build_vid", paths=("views.path", "kidney.centerline"))
 def main(config: Any) -> None:
     """Instantiate the choices and call `vid.build_vid`."""
     from functools import partial

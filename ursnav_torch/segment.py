@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import caller_path, progress, runner
 
 
-@runner("segment", paths=("landmarks",))
+@runner("segment", paths=("landmarks", "kidney.centerline"))
 def main(config: Any) -> None:
     """Instantiate the choice and call `kidney.ct.segment_scan` with it."""
     from hydra.utils import instantiate

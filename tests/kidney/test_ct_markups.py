@@ -9,7 +9,9 @@ import pytest
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import T_RAS_LPS
+from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.kidney.ct import calyces_from_markups, curves_of, points_of, read_markups
+from ursnav_torch.kidney.ct.curves import with_curves
 
 
 def written(path: Path, points: dict[str, list[float]], **settings: Any) -> Path:
@@ -78,3 +80,27 @@ def test_names_must_be_there_and_differ(tmp_path: Path, name: str) -> None:
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=r"is (used twice|empty); name each calyx once"):
         calyces_from_markups(read_markups(path), np.eye(4), "p")
+
+
+def test_curves_become_the_centerline(phantom: Kidney) -> None:
+    """Curves along the ways that were found give a tree of the same ways, joined where they run together."""
+    tree = phantom.centerline
+    curves = [tree.points_mm[tree.path_to(c)][:: (1, -1)[c % 2]] for c in range(len(phantom.calyces))]
+    drawn = with_curves(phantom, curves, "c").centerline
+    assert drawn.parent[0] == -1 and np.all(drawn.parent[1:] < np.arange(1, len(drawn.parent)))
+    for c, tip in enumerate(phantom.tips_mm):
+        ways = [t.from_root_mm()[t.path_to(c)[-1]] for t in (tree, drawn)]
+        assert ways[1] == pytest.approx(ways[0], rel=0.06)
+        np.testing.assert_allclose(drawn.points_mm[drawn.path_to(c)[-1]], tip)
+    assert (drawn.calyx == -1).sum() > 5, "the first part of the way is shared"
+    assert LumenDistance.from_kidney(phantom).clearance_mm(drawn.points_mm).min() > 0
+
+
+def test_curves_that_do_not_fit_are_refused(phantom: Kidney) -> None:
+    tree = phantom.centerline
+    curves = [tree.points_mm[tree.path_to(c)] for c in range(len(phantom.calyces))]
+    with pytest.raises(InputError, match=r"c has no curve that ends within 6 mm of calyx [A-Z]"):
+        with_curves(phantom, curves[:-1], "c")
+    bent = [np.vstack([c[0], c.mean(axis=0) + 40.0, c[-1]]) for c in curves]
+    with pytest.raises(InputError, match=r"c: the curves leave the lumen by up to"):
+        with_curves(phantom, bent, "c")

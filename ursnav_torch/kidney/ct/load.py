@@ -9,14 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress, no_progress
-from ursnav_torch.geometry import T_RAS_LPS
+from ursnav_torch.geometry import T_RAS_LPS, apply
 from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.ct.contrast import lumen_of_contrast
+from ursnav_torch.kidney.ct.curves import with_curves
 from ursnav_torch.kidney.ct.labels import label_counts, lumen_of_label
 from ursnav_torch.kidney.ct.lumen import Lumen
-from ursnav_torch.kidney.ct.markups import calyces_from_markups, read_markups
+from ursnav_torch.kidney.ct.markups import calyces_from_markups, curves_of, read_markups
 from ursnav_torch.kidney.ct.read import read_scan
 from ursnav_torch.kidney.ct.scan import Scan
 from ursnav_torch.kidney.ct.surface import lumen_surface
@@ -52,6 +53,7 @@ def load_ct_kidney(
     frame: str = "lps",
     faces: int = 60_000,
     calyces: Path | str | None = None,
+    centerline: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Kidney:
     """A kidney from a CT urography or from a label map of one.
@@ -68,6 +70,7 @@ def load_ct_kidney(
         frame: "lps" or "ras".
         faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
         calyces: CSV as for `load_mesh_kidney` (kidney frame), or Slicer's .mrk.json; None finds and names them.
+        centerline: Slicer's .mrk.json with a curve a calyx, from the pelvis to its tip; None finds it.
         progress: how far the search is.
 
     Raises:
@@ -75,7 +78,7 @@ def load_ct_kidney(
         MissingExtraError: the extra ``ct`` is not installed.
     """
     found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
-    return name_kidney(found, calyces)
+    return name_kidney(found, calyces, centerline)
 
 
 def scan_lumen(
@@ -107,7 +110,7 @@ def scan_lumen(
     return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0), T)
 
 
-def name_kidney(found: CtKidney, calyces: Path | str | None) -> Kidney:
+def name_kidney(found: CtKidney, calyces: Path | str | None, centerline: Path | str | None = None) -> Kidney:
     """The second half: calyces named or found, and the centerline."""
     given: tuple[Calyx, ...] | None = None
     pelvis: Array | None = None
@@ -115,7 +118,11 @@ def name_kidney(found: CtKidney, calyces: Path | str | None) -> Kidney:
         given, pelvis = calyces_from_markups(read_markups(calyces), found.T_kidney_lps, str(calyces))
     elif calyces is not None:
         given, pelvis = read_calyces(calyces)
-    return build_kidney(found.mesh, found.scan.source, 1.0, given, pelvis, (0.0, 0.0, 1.0))
+    kidney = build_kidney(found.mesh, found.scan.source, 1.0, given, pelvis, (0.0, 0.0, 1.0))
+    if centerline is None:
+        return kidney
+    curves = [apply(found.T_kidney_lps, curve) for curve in curves_of(read_markups(centerline))]
+    return with_curves(kidney, curves, str(centerline))
 
 
 def _check_choices(side: str | None, frame: str, faces: int) -> None:

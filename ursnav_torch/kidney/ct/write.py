@@ -33,6 +33,7 @@ def segment_scan(
     frame: str = "lps",
     faces: int = 60_000,
     calyces: Path | str | None = None,
+    centerline: Path | str | None = None,
     landmarks: Path | str | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
@@ -51,7 +52,7 @@ def segment_scan(
     if points is not None and not len(points[0]):
         raise InputError(f"{landmarks} holds no point list; landmarks are placed as points in 3D Slicer.")
     found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
-    kidney = name_kidney(found, calyces)
+    kidney = name_kidney(found, calyces, centerline)
     work = partial_path(out)
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
