@@ -18,7 +18,7 @@ _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1040px;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:left}
 td.n{text-align:right;font-variant-numeric:tabular-nums}figure{margin:1em 0}figcaption{font-size:13px;color:#555}
-td:nth-child(-n+3){white-space:nowrap}img{display:block;max-width:100%}.pairs{display:grid;grid-template-columns:1fr;gap:.2em}
+td:nth-child(-n+3){white-space:nowrap}img{display:block;max-width:100%}.pairs figure{margin:.2em 0}
 .no{color:#a33}.yes{color:#17691f}.dim{color:#777}nav a{margin-right:1em}h2{border-top:2px solid #888;padding-top:.6em}
 footer{color:#666;border-top:1px solid #ccc;margin-top:2em}
 """
@@ -130,7 +130,17 @@ def _series(o: Outcome, series: Matched, renderer: Renderer) -> str:
         f"<b>{share(series)}</b>. From left to right: the picture, its edges (green), the matched view with its edges "
         "(orange; perhaps turned, where pictures are compared at every roll), the kidney drawn from the place found, "
         "and from where the picture was truly taken. The fourth should look like the last.</p>"
-        f"{poses}<div class=pairs>{strips}</div>"
+        f"{_refusals(series)}{poses}<div class=pairs>{strips}</div>"
+    )
+
+
+def _refusals(series: Matched) -> str:
+    refused = sum(1 for row in series.rows if row.get("error"))
+    if not refused:
+        return ""
+    return (
+        f"<p class=no>{refused} of {len(series.rows)} pictures were not matched at all: too few of their edges pass "
+        "the thresholds of features= for a shape to be compared.</p>"
     )
 
 
