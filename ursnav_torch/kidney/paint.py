@@ -10,6 +10,9 @@ from ursnav_torch.geometry import apply
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+#: How much darker the farthest is than the nearest, so that steps show in a face seen straight on.
+_FOG = 0.6
+
 
 def paint_surface(
     picture: Picture, mesh: trimesh.Trimesh, T_view_mesh: Array, px_per_mm: float, color_bgr: ArrayLike
@@ -24,8 +27,10 @@ def paint_surface(
     normals = mesh.face_normals @ T_view_mesh[:3, :3].T
     front = np.flatnonzero(normals[:, 2] < 0)
     pixels = np.rint(triangles[..., :2] * px_per_mm + middle).astype(np.int32)
-    shade = 0.25 + 0.75 * np.clip(-normals[:, 2], 0, 1)
-    for face in front[np.argsort(-triangles[front, :, 2].mean(axis=1), kind="stable")]:
+    depth = triangles[:, :, 2].mean(axis=1)
+    fog = 1 - _FOG * (depth - depth.min()) / max(float(np.ptp(depth)), 1e-9)
+    shade = fog * (0.25 + 0.75 * np.clip(-normals[:, 2], 0, 1))
+    for face in front[np.argsort(-depth[front], kind="stable")]:
         cv2.fillConvexPoly(picture, pixels[face], (color * shade[face]).tolist())
 
 
