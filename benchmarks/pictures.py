@@ -25,12 +25,12 @@ from benchmarks._results import overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import phantom_vid, record_flight
 from ursnav_torch.localization.track import Tracker
-from ursnav_torch.navigation import Desk, Navigator, hold_navigation
+from ursnav_torch.navigation import Desk, Governor, Navigator, hold_navigation
 from ursnav_torch.session import Replay
 from ursnav_torch.vid import load_vid
 from ursnav_torch.viewer.page import LivePage, web_page
 
-SETTINGS = {"vid": "", "shots": 28, "pictures_a_shot": 20, "width": 960, "quality": 55, "out": "docs"}
+SETTINGS = {"vid": "", "shots": 14, "pictures_a_shot": 26, "width": 960, "quality": 55, "out": "docs"}
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 LARGEST_BYTES = 2_000_000
 
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         vid = load_vid(settings["vid"]) if settings["vid"] else phantom_vid(flight, Path(folder) / "vid")
         record_flight(vid, Path(folder) / "record", flight)
-        navigator = Navigator(Tracker(vid))
+        navigator = Navigator(Tracker(vid), governor=Governor(budget_s=60.0))  # a photograph may take its time
         shots: list[Image.Image] = []
 
         @contextmanager
@@ -68,7 +68,7 @@ def _photograph(page: LivePage, settings: dict[str, Any], shots: list[Image.Imag
     try:
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-            tab = browser.new_page(viewport={"width": 1280, "height": 800})
+            tab = browser.new_page(viewport={"width": 1180, "height": 740})
             tab.goto(page.url)
             tab.wait_for_selector(".ursnav-status")
             time.sleep(3.0)
@@ -81,7 +81,7 @@ def _photograph(page: LivePage, settings: dict[str, Any], shots: list[Image.Imag
                 until = time.monotonic() + 20
                 while navigator.located < located and time.monotonic() < until:
                     time.sleep(0.02)
-                tab.wait_for_timeout(1200)  # the wall is painted once a second
+                tab.wait_for_timeout(2000)  # the wall is painted once a second
                 shots.append(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
             browser.close()
     finally:
