@@ -17,8 +17,14 @@ from ursnav_torch.viewer.page.words import confidence_html, coverage_html, laten
 
 logger = logging.getLogger(__name__)
 
-#: Looks at the state a second; s between pictures, and between them on a slow machine; s between paintings of the wall.
-UPDATES_HZ, PICTURE_S, SLOW_PICTURE_S, PAINT_S = 8.0, 0.2, 0.6, 1.0
+#: Looks at the state a second.
+UPDATES_HZ = 8.0
+#: Seconds between pictures beside the kidney, and in it: there a browser needs its time to show one.
+PICTURE_S, FRUSTUM_S = 0.2, 0.5
+#: On a slow machine pictures come so many times less often.
+SLOWER = 3.0
+#: Seconds between paintings of wall and ways.
+PAINT_S = 1.0
 
 
 class LivePage:
@@ -40,7 +46,7 @@ class LivePage:
         self._pictures = Pictures(self._vid)
         self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
         self._end = threading.Event()
-        self._painted_s, self._pictured_s = 0.0, 0.0
+        self._done_s: dict[str, float] = {}
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._shown: Any = None
         self._add_left()
@@ -101,24 +107,28 @@ class LivePage:
             state = self.desk.navigator.bus.latest()
             if self._replay:
                 self._replay.show()
-            if state.version == version or not self.server.get_clients():
+            if not self.server.get_clients():
                 continue
-            version = state.version
             try:
-                self._show(state)
+                if state.version != version:
+                    version = state.version
+                    self._show(state)
+                if self._due("paint", PAINT_S):
+                    self._paint(state)
             except Exception:  # whatever a picture does to the page, navigation and its controls stay
                 logger.exception("The page could not be brought up to date.")
 
     def _show(self, state: NavigationState) -> None:
-        now, g = time.monotonic(), state.guidance
-        self._count(now)
-        plain = None
-        every_s = SLOW_PICTURE_S if state.effort else PICTURE_S
-        if state.frame is not None and state.frame is not self._shown and now - self._pictured_s >= every_s:
-            self._shown, self._pictured_s = state.frame, now
-            plain = self._pictures.scope(state.frame.image)
+        g = state.guidance
+        self._count(time.monotonic())
+        slower = SLOWER if state.effort else 1.0
+        if state.frame is not None and state.frame is not self._shown and self._due("pair", PICTURE_S * slower):
+            self._shown = state.frame
             pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
             self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
+        plain = None
+        if state.frame is not None and state.T_kidney_camera is not None and self._due("frustum", FRUSTUM_S * slower):
+            plain = self._pictures.scope(state.frame.image)
         with self.server.atomic():
             self._status.content = status_html(state.status)
             self._confidence.content = confidence_html(state)
@@ -128,11 +138,21 @@ class LivePage:
                 self._robot.show(state)
             self._scene.show_camera(state.T_kidney_camera, plain)
             self._scene.verdicts(g.coverage)
-        if now - self._painted_s >= PAINT_S:
-            self._painted_s = now
-            self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, g.seen)
-            self._scene.show_path(state.path_mm)
-            self._scene.show_route(g.route.points_mm if g.route else None)
+
+    def _paint(self, state: NavigationState) -> None:
+        """Wall and ways: more to send than words, so less often."""
+        route = state.guidance.route
+        self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, state.guidance.seen)
+        self._scene.show_path(state.path_mm)
+        self._scene.show_route(route.points_mm if route else None)
+
+    def _due(self, what: str, every_s: float) -> bool:
+        """Whether it is time again; if so, the time counts anew."""
+        now = time.monotonic()
+        if now - self._done_s.get(what, 0.0) < every_s:
+            return False
+        self._done_s[what] = now
+        return True
 
     def _count(self, now: float) -> None:
         """Poses a second, over the last two seconds."""
