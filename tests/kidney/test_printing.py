@@ -6,6 +6,7 @@ import trimesh
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney
+from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.printing import (
     PrintCheck,
     PrintedPhantom,
@@ -55,12 +56,29 @@ def test_the_inside_is_the_lumen_at_the_printed_size(printed: PrintedPhantom, ph
 
 
 def test_the_scope_gets_in_at_the_ureter(printed: PrintedPhantom) -> None:
-    assert printed.mouth is not None
     point, out, radius = printed.mouth
     assert radius > 1.5
     way = point + np.linspace(0, 8, 40)[:, None] * out
     assert not np.any(printed.shell.contains(way))
     assert printed.shell.euler_number == 2, "one opening and nothing else: the inside is the outside"
+
+
+def test_a_lumen_without_a_ureter_is_opened_opposite_to_the_calyces() -> None:
+    ball = trimesh.creation.icosphere(4, 9.0)
+    fingers = [trimesh.creation.capsule(22.0, 3.0, count=[24, 24], transform=turn) for turn in _turns()]
+    lumen = trimesh.boolean.union([ball, *fingers], engine="manifold")
+    kidney = build_kidney(lumen, "a hand", 1.0, None, None, None)
+    with pytest.warns(UserWarning, match="a hand shows no ureter: it is opened opposite to the calyces"):
+        printed = make_printed_phantom(kidney, 1.0, WALL_MM)
+    check = check_print(printed)
+    assert check.watertight and check.thinnest_wall_mm > 0.9 * WALL_MM and check.union_mm < 0.1
+    assert printed.shell.euler_number == 2 and not printed.shell.contains(kidney.pelvis_mm[None])[0]
+    assert printed.mouth[1] @ (kidney.tips_mm.mean(axis=0) - kidney.pelvis_mm) < 0
+
+
+def _turns() -> list[np.ndarray]:
+    return [trimesh.transformations.rotation_matrix(a, axis) for a, axis in
+            ((0.0, [1, 0, 0]), (0.9, [1, 0, 0]), (-0.9, [1, 0, 0]), (0.9, [0, 1, 0]), (-0.9, [0, 1, 0]))]  # fmt: skip
 
 
 def test_each_half_keeps_to_its_side_of_the_plane(printed: PrintedPhantom) -> None:

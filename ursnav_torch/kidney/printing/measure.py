@@ -80,8 +80,6 @@ def _off_mouth(phantom: PrintedPhantom, points: Array) -> Array:
 
 
 def _is_off_mouth(phantom: PrintedPhantom, points: Array) -> NDArray[np.bool_]:
-    if phantom.mouth is None:
-        return np.ones(len(points), bool)
     at, out, radius = phantom.mouth
     along = (points - at) @ out
     aside = np.linalg.norm(points - at - along[:, None] * out, axis=1)

@@ -12,7 +12,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress, no_progress
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.printing.cut import Cut, find_cut
-from ursnav_torch.kidney.printing.shell import outer_surface, ureter_end
+from ursnav_torch.kidney.printing.shell import outer_surface, pelvis_exit, ureter_end
 from ursnav_torch.kidney.printing.solid import manifold3d, mesh_of, rod, solid_of
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class PrintedPhantom:
         landmarks_mm: (L, 3) bottoms of the dimples.
         pins_mm: (P, 3) middles of the pins, on the plane.
         wall_mm: as asked.
-        mouth: a point in the middle of the ureter's end (3,), the direction out (3,) and the opening's radius.
+        mouth: a point in the middle of the opening (3,), the direction out (3,) and the opening's radius.
     """
 
     kidney: Kidney
@@ -51,7 +51,7 @@ class PrintedPhantom:
     landmarks_mm: Array
     pins_mm: Array
     wall_mm: float
-    mouth: tuple[Array, Array, float] | None
+    mouth: tuple[Array, Array, float]
 
 
 def make_printed_phantom(
@@ -85,8 +85,8 @@ def make_printed_phantom(
         lugs = [_along(pin, cut.normal, _LUG_LONG_MM, _LUG_MM) for pin in pins]
         mouth = _mouth(large)
         landmarks, knobs, dimples = _landmarks(mesh_of(outer), cut, pins, mouth)
-        drill = [] if mouth is None else [_drill(mouth, wall_mm + 6 * scale)]
-        shell = _largest(_sum(outer, [*lugs, *knobs]) - _sum(lumen, [*dimples, *drill]))
+        drill = rod(mouth[0], mouth[0] + mouth[1] * (wall_mm + 6 * scale), mouth[2])
+        shell = _sum(outer, [*lugs, *knobs]) - _sum(lumen, [*dimples, drill])
         advance(1)
         halves = _halves(shell, cut, pins)
         advance(1)
@@ -109,21 +109,14 @@ def _along(middle: Array, normal: Array, length: float, radius: float) -> Any:
     return rod(middle - normal * length / 2, middle + normal * length / 2, radius)
 
 
-def _mouth(kidney: Kidney) -> tuple[Array, Array, float] | None:
-    """Where the wall is opened for the scope, a little narrower than the ureter."""
+def _mouth(kidney: Kidney) -> tuple[Array, Array, float]:
+    """Where the wall is opened for the scope: at the ureter's end, a little narrower, or opposite to the calyces."""
     end = ureter_end(kidney)
     if end is None:
-        warnings.warn(
-            f"{kidney.source} has no ureter: the phantom is closed; drill a hole for the scope.", stacklevel=3
-        )
-        return None
+        warnings.warn(f"{kidney.source} shows no ureter: it is opened opposite to the calyces.", stacklevel=3)
+        return pelvis_exit(kidney)
     point, out, radius = end
     return point, out, 0.9 * radius
-
-
-def _drill(mouth: tuple[Array, Array, float], length: float) -> Any:
-    point, out, radius = mouth
-    return rod(point, point + out * length, radius)
 
 
 def _pin_places(outer: Any, cut: Cut) -> Array:
@@ -144,7 +137,7 @@ def _pin_places(outer: Any, cut: Cut) -> Array:
 
 
 def _landmarks(
-    outer: trimesh.Trimesh, cut: Cut, pins: Array, mouth: tuple[Array, Array, float] | None
+    outer: trimesh.Trimesh, cut: Cut, pins: Array, mouth: tuple[Array, Array, float]
 ) -> tuple[Array, list[Any], list[Any]]:
     """Bottoms of the dimples (L, 3), spread over the outside, with the knobs and the dimples themselves."""
     m = manifold3d()
@@ -152,8 +145,7 @@ def _landmarks(
     points, normals = np.asarray(points), outer.face_normals[face]
     free = np.abs(points @ cut.normal - cut.offset_mm) > 1.5 * _LUG_MM
     free &= np.linalg.norm(points[:, None] - pins, axis=-1).min(axis=1) > 3 * _LUG_MM
-    if mouth is not None:
-        free &= np.linalg.norm(points - mouth[0], axis=1) > 3 * mouth[2] + 2 * _KNOB_MM
+    free &= np.linalg.norm(points - mouth[0], axis=1) > 3 * mouth[2] + 2 * _KNOB_MM
     rays = outer.ray.intersects_any(points + 0.05 * normals, normals)
     points, normals = points[free & ~rays], normals[free & ~rays]
     chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]

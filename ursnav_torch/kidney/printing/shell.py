@@ -18,6 +18,8 @@ _VOXEL_SHARE, _VOXEL_MM = 0.3, (0.3, 0.8)
 _CHORD_MM = 0.05
 #: An end of the lumen this far from every way to a calyx is the ureter's, mm at scale 1.
 _URETER_MM = 7.0
+#: Radius of an opening where no ureter is seen, mm at scale 1.
+_URETER_RADIUS_MM = 2.0
 
 
 def outer_surface(lumen: trimesh.Trimesh, wall_mm: float) -> trimesh.Trimesh:
@@ -59,3 +61,15 @@ def ureter_end(kidney: Kidney) -> tuple[Array, Array, float] | None:
     off = across - np.outer(across @ direction, direction)
     radius = float(np.sqrt(2 * np.mean(np.sum(off**2, axis=1))))  # of a disk with that spread
     return near[0], direction, radius
+
+
+def pelvis_exit(kidney: Kidney) -> tuple[Array, Array, float]:
+    """Where a ureter would leave: a point (3,) just inside the wall, the direction (3,) out, and a ureter's radius.
+
+    The direction leads from the pelvis away from the calyces.
+    """
+    out = kidney.pelvis_mm - kidney.tips_mm.mean(axis=0)
+    out /= np.linalg.norm(out)
+    hits = kidney.mesh.ray.intersects_location(kidney.pelvis_mm[None], out[None])[0]
+    exit_mm = float(((np.asarray(hits) - kidney.pelvis_mm) @ out).max(initial=0.0))
+    return kidney.pelvis_mm + out * max(exit_mm - 2.0 * kidney.scale, 0.0), out, _URETER_RADIUS_MM * kidney.scale
