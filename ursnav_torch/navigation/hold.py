@@ -95,7 +95,7 @@ def hold_navigation(
                 )
             player = Player(hardware, observer is not None, navigator.forget_place)
             source: Live | Player = player
-            live = False
+            live = navigator.expects_pictures = False
             desk = Desk(navigator, None, player, player.stop)
         else:
             rig = hardware(world=world)

@@ -68,6 +68,9 @@ class Navigator:
         limits: what the scope can do, for the way on.
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
+
+    Attributes:
+        expects_pictures: whether a while without any is worth saying; a replay may be paused.
     """
 
     def __init__(
@@ -79,7 +82,7 @@ class Navigator:
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
         self.guide = Guide(tracker.vid, tracker.lumen, limits)
-        self.located = 0
+        self.located, self.expects_pictures = 0, True
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
         self._jobs: Newest[_Job] = Newest()
@@ -273,7 +276,12 @@ class Navigator:
                 self._show(T)
                 due = begun + GUIDE_S
                 self._painting_s = time.monotonic() - begun
-            if self.located and begun - self._published_s > STALE_S and not self.bus.latest().stale:
+            if (
+                self.expects_pictures
+                and self.located
+                and begun - self._published_s > STALE_S
+                and not self.bus.latest().stale
+            ):
                 self.bus.update(lambda state: _worded(replace(state, stale=True)))
 
     def _show(self, T: Array | None) -> None:
