@@ -138,11 +138,11 @@ def _prints(report: Report, prints: int, data: str) -> None:
         phantom = make_printed_phantom(kidney, 1.8, 2.0)
         seconds, check = time.perf_counter() - start, check_print(phantom)
         group = f"printed at 1.8 with walls of 2 mm, {name}"
-        report.add(group, "halves closed, one piece each", "", [float(check.watertight)], "1: yes")
+        report.add(group, "halves closed, one piece each", "of 1", [float(check.watertight)])
         report.add(group, "thinnest wall", "mm", [check.thinnest_wall_mm])
         report.add(group, "thinnest septum", "mm", [check.thinnest_septum_mm], "anatomy; 8 where none is thinner")
         report.add(group, "halves joined against shell, at most", "mm", [check.union_mm])
-        report.add(group, "calyces crossed", "", [len(phantom.cut.crossed)], f"of {len(kidney.calyces)}")
+        report.add(group, "calyces crossed", "calyces", [len(phantom.cut.crossed)], f"of {len(kidney.calyces)}")
         report.add(group, "time", "s", [seconds])
         print(f"printed {name}", file=sys.stderr)
 
