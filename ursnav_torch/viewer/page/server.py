@@ -6,7 +6,8 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ursnav_torch.errors import InputError, MissingExtraError, UrsnavError
+from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.extras import import_extra
 
 if TYPE_CHECKING:
     import viser
@@ -55,14 +56,9 @@ def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
         MissingExtraError: viser is not installed.
     """
     check_address(host, port)
-    try:
-        import viser
-    except ImportError:
-        raise MissingExtraError(
-            "The page needs viser: pip install 'ursnav-torch[viewer]', or viewer=none to do without."
-        ) from None
+    viser = import_extra("viser", "viewer", "The page (viewer=none does without)")
 
-    class LocalServer(viser.ViserServer):
+    class LocalServer(viser.ViserServer):  # type: ignore[name-defined]
         """A server that cannot be shared: viser would relay it through a public host if a page asked."""
 
         def request_share_url(self, verbose: bool = True) -> str | None:
