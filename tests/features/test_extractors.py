@@ -93,8 +93,8 @@ def test_at_most_as_many_points_as_asked_for_and_no_fewer_than_needed(settings: 
     image = disk(LENS, (124.5, 124.5), 60.0)
     few = make_extractor(replace(settings, points=30), LENS).extract(image)
     assert len(few.edges) == 30 == len(few.edges.weight) == len(few.edges.direction)
-    with pytest.raises(FeatureError, match=r"edge points; at least 1500 are needed"):
-        make_extractor(replace(settings, points=2000, min_points=1500), LENS).extract(image)
+    with pytest.raises(FeatureError, match=r"edge points; at least 9000 are needed"):
+        make_extractor(replace(settings, points=9000, min_points=9000), LENS).extract(image)
 
 
 @BOTH

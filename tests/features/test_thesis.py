@@ -31,23 +31,22 @@ def plain(image: np.ndarray, virtual: bool) -> np.ndarray:
         spectrum = np.fft.fft2(gray)
         spectrum[12:-11, 0] = 0
         gray = np.fft.ifft2(spectrum).real.clip(0, 255).astype(np.uint8)
-        gray = cv2.GaussianBlur(cv2.equalizeHist(gray), (13, 13), 2.0)
+        gray = cv2.GaussianBlur(cv2.equalizeHist(gray), (13, 13), ThesisSettings().blur_px)
     high, _ = cv2.threshold(gray, 0, 255, cv2.THRESH_OTSU)
-    smooth = cv2.GaussianBlur(gray, (5, 5), 1.0)
-    edges = cv2.Canny(smooth, high / 3, high, L2gradient=True)
+    edges = cv2.Canny(gray, high / 3, high)
     return skeletonize(cv2.dilate(edges, np.ones((3, 3), np.uint8)) > 0)
 
 
 @pytest.mark.parametrize("virtual", [True, False])
 def test_agrees_with_plain_opencv(scene: np.ndarray, virtual: bool) -> None:
-    """Kornia's Canny and OpenCV's differ in scale and rounding; the lines are the same to a pixel and a half.
+    """Kornia's equalization and OpenCV's differ in rounding; the lines are the same to a pixel and a half.
 
     Ours lack the twigs and small groups that are taken out in between.
     """
     ours = make_extractor(ThesisSettings(), LENS).extract(scene, virtual).edge_image
     theirs = plain(scene, virtual)
     ours_off, theirs_off = distance_transform_edt(~theirs)[ours], distance_transform_edt(~ours)[theirs]
-    assert (ours_off <= 1.5).mean() > 0.93 and (theirs_off <= 1.5).mean() > 0.8
+    assert (ours_off <= 1.5).mean() > 0.9 and (theirs_off <= 1.5).mean() > 0.8
 
 
 def test_gray_values_are_opencvs() -> None:

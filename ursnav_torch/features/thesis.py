@@ -7,17 +7,17 @@ import numpy as np
 import torch
 from kornia.color import bgr_to_grayscale
 from kornia.enhance import equalize
-from kornia.filters import canny, gaussian_blur2d
+from kornia.filters import gaussian_blur2d
 from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
-from skimage.morphology import skeletonize
+from skimage.morphology import remove_small_objects, skeletonize
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import NO_MAPS, Features
 from ursnav_torch.features.default import refuse_blank
-from ursnav_torch.features.edges import edge_points, gradient, link
+from ursnav_torch.features.edges import edge_points, gradient
 from ursnav_torch.features.image import check_image
 from ursnav_torch.features.sampling import sample
 
@@ -40,7 +40,7 @@ class ThesisSettings:
 
     points: int = 200
     sampling: str = "farthest"
-    blur_px: float = 2.0
+    blur_px: float = 1.1
     stripe_rows: int = 12
     min_area_px: int = 20
     prune_px: int = 6
@@ -87,10 +87,14 @@ class ThesisExtractor:
         return Features(found.subset(torch.as_tensor(keep)), NO_MAPS, thin, NO_MAPS)
 
     def _edges(self, gray: Tensor) -> NDArray[np.bool_]:
-        """Canny with the Otsu threshold and a third of it, less the rim and small groups."""
-        high = float(threshold_otsu((gray.numpy()[self._mask] * 255).astype(np.uint8))) / 255
-        ridge, _ = canny(gray[None, None], high / 3, max(high, 1e-3), (5, 5), (1.0, 1.0), hysteresis=False)
-        return link(ridge[0, 0] * torch.from_numpy(self._inner), high / 3, high, self.settings.min_area_px)
+        """OpenCV's Canny, as the thesis has it, with the Otsu threshold and a third of it, less rim and small groups.
+
+        Its thresholds are for the sum of the two slopes; kornia's, for their root mean square, find too few edges here.
+        """
+        levels = (gray.numpy() * 255).round().astype(np.uint8)
+        high = float(threshold_otsu(levels[self._mask]))
+        edges = (cv2.Canny(levels, high / 3, high) > 0) & self._inner
+        return np.asarray(remove_small_objects(edges, max_size=self.settings.min_area_px - 1, connectivity=2), bool)
 
 
 def grayscale(image: NDArray[np.uint8]) -> Tensor:
