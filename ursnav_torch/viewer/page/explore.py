@@ -174,7 +174,8 @@ class ExplorePage:
         self._status.content = status_html(place + collected)
         picture = self._pictures.large(T)
         self._view.content = picture_html(picture, "virtual view from here", "pair")
-        self._scene.show_camera(T, picture)
+        self._scene.show_camera(T)
+        self._scene.show_picture(picture)
         self._scene.show_points("views", [pose[:3, 3] for pose in kept.T_kidney_camera], (90, 60, 200))
         self._scene.show_points("landmarks", kept.landmarks_mm, (250, 150, 0), 2.0)
 

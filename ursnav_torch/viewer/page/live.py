@@ -4,7 +4,7 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -47,12 +47,17 @@ class LivePage:
         self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
         self._end = threading.Event()
         self._done_s: dict[str, float] = {}
+        self._version = -1
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._shown: Any = None
         self._add_left()
         self._add_right()
-        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=self._run, args=part, name=f"page{part[0].__name__}", daemon=True)
+            for part in ((self._show_words, UPDATES_HZ), (self._show_pictures, 1 / PICTURE_S))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def choose(self, calyx: str) -> None:
         """A calyx was clicked: route there and show its views; clicked again, navigation proposes the next."""
@@ -65,7 +70,8 @@ class LivePage:
     def close(self) -> None:
         """Take the page away."""
         self._end.set()
-        self._thread.join(timeout=5.0)
+        for thread in self._threads:
+            thread.join(timeout=5.0)
         stop_server(self.server)
 
     def _add_left(self) -> None:
@@ -101,34 +107,24 @@ class LivePage:
             self._views = gui.add_html("")
         self._latency = gui.add_html("")
 
-    def _run(self) -> None:
-        version = -1
-        while not self._end.wait(1 / UPDATES_HZ):
-            state = self.desk.navigator.bus.latest()
-            if self._replay:
-                self._replay.show()
+    def _run(self, show: Callable[[NavigationState], None], hertz: float) -> None:
+        """Bring a part of the page up to date for as long as there is somebody to see it."""
+        while not self._end.wait(1 / hertz):
             if not self.server.get_clients():
                 continue
             try:
-                if state.version != version:
-                    version = state.version
-                    self._show(state)
-                if self._due("paint", PAINT_S):
-                    self._paint(state)
+                show(self.desk.navigator.bus.latest())
             except Exception:  # whatever a picture does to the page, navigation and its controls stay
                 logger.exception("The page could not be brought up to date.")
 
-    def _show(self, state: NavigationState) -> None:
-        g = state.guidance
+    def _show_words(self, state: NavigationState) -> None:
+        """Texts and the camera's place: little to send."""
+        if self._replay:
+            self._replay.show()
+        if state.version == self._version:
+            return
+        self._version, g = state.version, state.guidance
         self._count(time.monotonic())
-        slower = SLOWER if state.effort else 1.0
-        if state.frame is not None and state.frame is not self._shown and self._due("pair", PICTURE_S * slower):
-            self._shown = state.frame
-            pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
-            self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
-        plain = None
-        if state.frame is not None and state.T_kidney_camera is not None and self._due("frustum", FRUSTUM_S * slower):
-            plain = self._pictures.scope(state.frame.image)
         with self.server.atomic():
             self._status.content = status_html(state.status)
             self._confidence.content = confidence_html(state)
@@ -136,15 +132,22 @@ class LivePage:
             self._coverage.content = coverage_html(g.coverage, g.chosen)
             if self._robot is not None:
                 self._robot.show(state)
-            self._scene.show_camera(state.T_kidney_camera, plain)
+            self._scene.show_camera(state.T_kidney_camera)
             self._scene.verdicts(g.coverage)
 
-    def _paint(self, state: NavigationState) -> None:
-        """Wall and ways: more to send than words, so less often."""
-        route = state.guidance.route
-        self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, state.guidance.seen)
-        self._scene.show_path(state.path_mm)
-        self._scene.show_route(route.points_mm if route else None)
+    def _show_pictures(self, state: NavigationState) -> None:
+        """Pictures, wall and ways: more to make and to send, so beside the words and less often."""
+        slower, route = SLOWER if state.effort else 1.0, state.guidance.route
+        if state.frame is not None and state.frame is not self._shown and self._due("pair", PICTURE_S * slower):
+            self._shown = state.frame
+            pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
+            self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
+            if self._due("frustum", FRUSTUM_S * slower):
+                self._scene.show_picture(self._pictures.scope(state.frame.image))
+        if self._due("paint", PAINT_S):
+            self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, state.guidance.seen)
+            self._scene.show_path(state.path_mm)
+            self._scene.show_route(route.points_mm if route else None)
 
     def _due(self, what: str, every_s: float) -> bool:
         """Whether it is time again; if so, the time counts anew."""

@@ -77,8 +77,8 @@ class KidneyScene:
             if c.calyx in self._balls and self._colors.get(c.calyx) != color:
                 self._balls[c.calyx].color = self._colors[c.calyx] = color
 
-    def show_camera(self, T_kidney_camera: Array | None, picture: Picture | None) -> None:
-        """The scope's camera with its axes and its picture (red, green, blue); None hides it."""
+    def show_camera(self, T_kidney_camera: Array | None) -> None:
+        """The scope's camera with its axes; None hides it."""
         if T_kidney_camera is None:
             if self._camera is not None:
                 self._camera.visible = self._axes.visible = False
@@ -94,7 +94,10 @@ class KidneyScene:
             self._axes = self._scene.add_frame("/scope/axes", axes_length=1.6 * size, axes_radius=0.06 * size)
         for node in (self._camera, self._axes):
             node.position, node.wxyz, node.visible = position, wxyz, True
-        if picture is not None:
+
+    def show_picture(self, picture: Picture) -> None:
+        """What the scope sees (red, green, blue), in its field of view."""
+        if self._camera is not None:
             self._camera.image = picture
 
     def on_wall(self, action: Callable[[Array, Array], None]) -> None:
