@@ -185,7 +185,7 @@ def _phantom(seed: int, settings: dict[str, Any], work: Path) -> tuple[Vid, list
         build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
     vid = load_vid(folder)
     lumen, renderer = LumenDistance.from_kidney(vid.kidney), RaycastRenderer(vid.kidney.mesh, lens)
-    preset = ("simulation", "phantom")[seed % 2]
+    preset = ("thesis_simulation", "thesis_phantom")[seed % 2]
     T = fly(vid.kidney, range(0, 6, 2), np.random.default_rng(seed))
     found = observed_calyx(T, vid.kidney, lumen)
 

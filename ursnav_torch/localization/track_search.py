@@ -39,11 +39,12 @@ class TrackSettings:
         convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
-        own_kidney: intercept and weights of the fit and of the alignment's score in the log-odds that a picture shows
-            the VID's kidney and not another; provisional, set by eye and not yet learned from the VID.
+        own_kidney: intercept and weight of the alignment's score in the log-odds that a picture shows the VID's kidney
+            and not another; 0 at a score of 0.57, between what phantoms' own pictures and those of others score.
         most: a single picture counts for no more than this.
-        believe, give_up, bound: the sum of the log-odds from which on a track is believed, below minus which it is
-            given up, and which it never exceeds.
+        believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given
+            up.
+        debt, credit: the sum stays between minus the one and the other: a long good track outlasts a bad stretch.
         well_aligned: alignments of this score tell where the scope's light is.
     """
 
@@ -64,11 +65,12 @@ class TrackSettings:
     convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
-    own_kidney: tuple[float, float, float] = (-7.5, 2.5, 9.0)
+    own_kidney: tuple[float, float] = (-5.7, 10.0)
     most: float = 1.0
     believe: float = 2.0
     give_up: float = 4.0
-    bound: float = 8.0
+    debt: float = 8.0
+    credit: float = 20.0
     well_aligned: float = 0.5
 
     def __post_init__(self) -> None:
