@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ursnav_torch.errors import DeviceNotConnectedError, InputError
+from ursnav_torch.extras import import_extra
 from ursnav_torch.files import number, read_csv
 from ursnav_torch.hardware.base import Gamepad, OperatorInput
-from ursnav_torch.hardware.extras import import_extra
 from ursnav_torch.hardware.gamepad_mapping import GamepadMapping, MappedInput
 
 

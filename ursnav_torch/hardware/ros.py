@@ -13,9 +13,9 @@ from typing import Any
 import cv2
 
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError
+from ursnav_torch.extras import import_extra
 from ursnav_torch.geometry import Array, check_rigid, quaternion_from_transform
 from ursnav_torch.hardware.base import Frame, Gamepad, Joints, OperatorInput, Output
-from ursnav_torch.hardware.extras import import_extra
 from ursnav_torch.hardware.gamepad_mapping import GamepadMapping, MappedInput
 
 logger = logging.getLogger(__name__)

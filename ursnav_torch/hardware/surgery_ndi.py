@@ -16,8 +16,8 @@ from typing import Any
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.extras import import_extra
 from ursnav_torch.hardware.base import Tracker, TrackerSample
-from ursnav_torch.hardware.extras import import_extra
 
 
 class SurgeryNdiTracker(Tracker):
