@@ -13,6 +13,7 @@ import csv
 import json
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney, make_ph
 from ursnav_torch.localization.coverage import Coverage
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
 from ursnav_torch.localization.track_search import SensorReading
-from ursnav_torch.localization.track_video import Moment, open_source
+from ursnav_torch.localization.track_video import Moment, Source, follow_source, open_source
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
@@ -84,13 +85,16 @@ def _judge(report: Report, vid: Vid, exploration: Exploration) -> None:
     tracker = Tracker(vid)
     coverage, truth = (Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::4]) for _ in range(2))
     answers: list[Tracked] = []
-    for moment in exploration.moments():
-        sensor = exploration.sensor[moment.frame] if exploration.sensor else None
-        answers.append(tracker.step(moment.image, moment.t_s, sensor))
-        last = answers[-1]
-        truth.add(T[moment.frame], 0.1)
+    readings = exploration.sensor
+    source = Source(exploration.moments, len(T), exploration.name)
+    start = time.perf_counter()
+    for _, last in follow_source(tracker, source, lambda m: readings[m.frame] if readings else None):
+        answers.append(last)
         if last.T_kidney_camera is not None and np.isfinite(last.score):
             coverage.add(last.T_kidney_camera, 0.1)
+    rate = len(answers) / (time.perf_counter() - start)
+    for pose in T[: len(answers)]:
+        truth.add(pose, 0.1)
     on = np.array([a.state == TRACKING for a in answers])
     poses = np.array([a.T_kidney_camera if a.T_kidney_camera is not None else np.eye(4) for a in answers])
     apart = np.linalg.norm(poses[:, :3, 3] - T[: len(on), :3, 3], axis=1)
@@ -108,6 +112,7 @@ def _judge(report: Report, vid: Vid, exploration: Exploration) -> None:
     same = sum(ours.verdict == theirs.verdict for ours, theirs in pairs)
     wrong = [f"{o.calyx} {o.verdict}, truly {t.verdict}" for o, t in pairs if o.verdict != t.verdict]
     report.add(group, "coverage verdicts right", "of " + str(len(pairs)), [float(same)], "; ".join(wrong), n=len(pairs))
+    report.add(group, "pictures a second, coverage included", "1/s", [rate], n=len(answers))
     times = [1e3 * a.seconds for a in answers]
     report.add(group, "time a picture", "ms", times)
     report.add(group, "time a picture, 95th percentile", "ms", [float(np.percentile(times, 95))], n=len(times))

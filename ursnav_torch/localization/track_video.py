@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import IMAGE_SUFFIXES, read_image
+from ursnav_torch.features import IMAGE_SUFFIXES, Features, read_image
 from ursnav_torch.localization.coverage import INSPECTED, Coverage
 from ursnav_torch.localization.matches import natural_key
 from ursnav_torch.localization.route import ScopeLimits, nearest_route
@@ -47,11 +48,13 @@ class Source:
         moments: gives them one after the other.
         length: how many there should be; 0 where nobody knows.
         what: where they come from, for people to read.
+        live: whether asking for the next picture waits for a device.
     """
 
     moments: Callable[[], Iterator[Moment]]
     length: int
     what: str
+    live: bool = False
 
 
 def open_source(path: Path, fps: float = 10.0) -> Source:
@@ -100,7 +103,30 @@ def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | N
         except KeyboardInterrupt:
             return
 
-    return Source(moments, 0, "the camera")
+    return Source(moments, 0, "the camera", live=True)
+
+
+def follow_source(
+    tracker: Tracker, source: Source, sensor: Callable[[Moment], SensorReading | None] | None = None
+) -> Iterator[tuple[Moment, Tracked]]:
+    """Every picture and the answer to it; of files, the next picture is read while this one is followed."""
+    if source.live:
+        for moment in source.moments():
+            yield moment, tracker.step(moment.image, moment.t_s, sensor(moment) if sensor else None)
+        return
+    moments = source.moments()
+
+    def prepare() -> tuple[Moment, Features | None, float] | None:
+        moment, start = next(moments, None), time.perf_counter()
+        return None if moment is None else (moment, tracker.extract(moment.image), time.perf_counter() - start)
+
+    with ThreadPoolExecutor(1) as beside:
+        coming = beside.submit(prepare)
+        while (ready := coming.result()) is not None:
+            coming = beside.submit(prepare)
+            moment, features, spent = ready
+            reading = sensor(moment) if sensor else None
+            yield moment, tracker.follow(features, moment.t_s, reading, time.perf_counter() - spent)
 
 
 def track_rows(
@@ -115,8 +141,7 @@ def track_rows(
     A picture is painted when the track is believed, for the time since the one before.
     """
     last = None
-    for moment in source.moments():
-        tracked = tracker.step(moment.image, moment.t_s, sensor(moment) if sensor else None)
+    for moment, tracked in follow_source(tracker, source, sensor):
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
         if coverage is not None and tracked.T_kidney_camera is not None and np.isfinite(tracked.score):

@@ -1,6 +1,7 @@
 """A `track` run: pictures in, rows, coverage and the painted wall out."""
 
 import csv
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def track_source(
     for path in beside:
         check_output_file(path, overwrite)
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
+    spent, start = list[float](), time.perf_counter()
     with whole_file(out, overwrite) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
@@ -59,15 +61,17 @@ def track_source(
         with progress(source.length, "pictures") as advance:
             for row, tracked in track_rows(tracker, source, sensor, coverage, advance):
                 writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
+                spent.append(tracked.seconds)
                 states[tracked.state] = states.get(tracked.state, 0) + 1
                 last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
         if not states:
             raise InputError(f"{source.what} gave no picture at all.")
+    rate = len(spent) / (time.perf_counter() - start)
     report = coverage_report(coverage, last)
     write_json(beside[0], report | {"pictures": states, "ended": ended}, overwrite)
     with whole_file(beside[1], overwrite) as partial:
         partial.write_bytes(cv2.imencode(".png", draw_coverage(coverage))[1].tobytes())
-    return _summary(source, states, ended, coverage, out)
+    return _summary(source, states, ended, coverage, out) + "\n" + _speed(spent, rate)
 
 
 def camera_source(device: Camera, seconds: float | None) -> Source:
@@ -126,6 +130,11 @@ def _summary(source: Source, states: dict[str, int], ended: str, coverage: Cover
         lines.append("The track ended lost: the pictures do not fit this kidney. Is it the right VID?")
     lines += [f"  {c.calyx}: {c.verdict}, {c.share:.0%} of its wall seen" for c in coverage.calyces()]
     return "\n".join(lines)
+
+
+def _speed(spent: list[float], rate: float) -> str:
+    median, slow = (1e3 * float(np.percentile(spent, q)) for q in (50, 95))
+    return f"{rate:.1f} pictures a second; {median:.0f} ms a picture, 95th percentile {slow:.0f} ms"
 
 
 #: A reading belongs to a picture taken within this time.
