@@ -1,4 +1,4 @@
-"""Make a phantom to print: two halves of a kidney with walls, pins and landmarks, cut through the fewest calyces."""
+"""Make a phantom to print: two halves of a kidney with walls, pins and landmarks, cut through few calyces."""
 
 from typing import Any
 

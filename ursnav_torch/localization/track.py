@@ -171,7 +171,7 @@ class Tracker:
         if refined.score >= s.shaky:
             self._good = refined.T_kidney_camera
         self._remember(found, refined.T_kidney_camera, t_s)
-        self._judge(refined.score, passed)
+        self._judge(refined, passed, sensor)
         if self._state != TRACKING:
             self._smooth.reset()
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
@@ -254,10 +254,12 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _judge(self, score: float, seconds: float) -> None:
+    def _judge(self, refined: Refined, seconds: float, sensor: SensorReading | None) -> None:
         """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945)."""
         s = self.settings
-        odds = s.own_kidney[0] + s.own_kidney[1] * score
+        odds = s.own_kidney[0] + s.own_kidney[1] * refined.score
+        if sensor is not None:
+            odds += float(np.clip(s.own_sensor - sensor.off(refined.T_kidney_camera[None])[0], -s.most, s.most))
         gain = float(np.clip(odds, -s.most, s.most)) * min(seconds, 4 * s.usual_s) / s.usual_s
         self._trust = float(np.clip(self._trust + gain, -s.debt, s.credit))
         if self._trust <= -s.give_up:

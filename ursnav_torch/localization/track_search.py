@@ -40,7 +40,8 @@ class TrackSettings:
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
         own_kidney: intercept and weight of the alignment's score in the log-odds that a picture shows the VID's kidney
-            and not another; 0 at a score of 0.57, between what phantoms' own pictures and those of others score.
+            and not another; 0 at a score of 0.54, between what phantoms' own pictures and those of others score.
+        own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney.
         most: a single picture counts for no more than this.
         believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given
             up.
@@ -65,7 +66,8 @@ class TrackSettings:
     convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
-    own_kidney: tuple[float, float] = (-5.7, 10.0)
+    own_kidney: tuple[float, float] = (-5.4, 10.0)
+    own_sensor: float = 2.0
     most: float = 1.0
     believe: float = 2.0
     give_up: float = 4.0
