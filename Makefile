@@ -4,6 +4,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Every extra, so that no test is skipped for want of one.
+EXTRAS := ct,viewer,dask,igtl,ndi,gamepad,ros
 GL_PACKAGES := libegl1 libgl1-mesa-dri
 DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl
@@ -53,8 +55,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
-$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+$(VENV)/.installed-dev: Makefile pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,$(EXTRAS)]'
 	touch $@ $(VENV)/.installed
 
 clean:
