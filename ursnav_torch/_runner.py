@@ -20,6 +20,9 @@ from omegaconf.errors import MissingMandatoryValue
 
 from ursnav_torch.errors import UrsnavError
 
+# NumPy's products are small here and slower on two threads than on one; PyTorch has threads of its own.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 _HERE = Path(__file__).resolve().parent
 _COMMON_PATHS = ("out", "vid", "kidney.path", "kidney.calyces", "camera.path")
 OK, NOT_DONE, WRONG_USAGE, ROWS_WITH_ERRORS = 0, 1, 2, 3
