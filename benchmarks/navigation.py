@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks._results import Report, overrides
+from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.hardware import Frame, Stamp
@@ -78,7 +78,7 @@ def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings
                 states[result.row.get("state", "lost")] += 1
                 lag.append(1e3 * result.row.get("latency_s", 0.0))
             if number % int(rate) == 0:
-                memory.append(_resident_mb())
+                memory.append(resident_mb())
         navigator.wait()
         seconds = time.monotonic() - begun
         latencies = list(navigator.latencies)
@@ -151,13 +151,6 @@ def flight(vid: Vid, rate_hz: float, seconds: float, speed_mm_s: float = 6.0) ->
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.stack([across, up, gaze], axis=1), position
         yield T
-
-
-def _resident_mb() -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1e3
-    return 0.0
 
 
 if __name__ == "__main__":

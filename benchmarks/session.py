@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._results import Report, overrides
+from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.hardware import (
@@ -127,16 +127,9 @@ def _watch(memory: list[float], rows: list[tuple[int, int]]) -> Callable[[Event]
         if isinstance(event, Result):
             rows.append((event.frame, zlib.crc32(json.dumps(event.row).encode())))
         elif isinstance(event, Frame) and event.stamp.sequence % 15 == 0:
-            memory.append(_resident_mb())
+            memory.append(resident_mb())
 
     return watch
-
-
-def _resident_mb() -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1e3
-    return 0.0
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._results import Report, overrides
+from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera, load_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.geometry import look_along, rotation_angle, transform_from_quaternion
@@ -134,7 +134,7 @@ def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures:
             tracker.step(moment.image, count / 10)
             count += 1
             if count % 100 == 0:
-                used.append(_resident_mb())
+                used.append(resident_mb())
     third = len(used) // 3
     growth = float(np.median(used[-third:]) - np.median(used[third:-third]))
     report.add("memory", f"over {count} pictures", "MB", used)
@@ -227,13 +227,6 @@ def _longest(flags: NDArray[np.bool_]) -> int:
         run = run + 1 if flag else 0
         longest = max(longest, run)
     return longest
-
-
-def _resident_mb() -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1e3
-    return 0.0
 
 
 if __name__ == "__main__":

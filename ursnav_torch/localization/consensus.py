@@ -17,7 +17,7 @@ def mean_pose(
 ) -> tuple[Array, float]:
     """The weighted mean of the poses near one of them, and their share of the weight.
 
-    Between views the mean is nearer to the truth than the best view: their errors point in different directions.
+    Views stand on all sides of the picture's own pose, so that their errors partly cancel.
 
     Args:
         T_kidney_camera: (N, 4, 4).

@@ -40,7 +40,7 @@ class TrackSettings:
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
         own_kidney: intercept and weight of the alignment's score in the log-odds that a picture shows the VID's kidney
-            and not another; 0 at a score of 0.54, between what phantoms' own pictures and those of others score.
+            and not another; provisional: set by hand from a few phantoms and kidneys, not learned from the VID.
         own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney.
         most: a single picture counts for no more than this.
         believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given

@@ -1,8 +1,7 @@
 """Kinds of pictures: each preset draws one random set of faults from documented ranges.
 
 A preset names the span of every fault it uses, inside the range that the setting itself allows. The spans are wider
-than any one scope shows, so that what is learned from such pictures holds for scopes nobody has seen; their ends are
-no worse than the thesis's own pictures and those of an independent renderer.
+than one scope would show; their ends are set by eye, beside the thesis's figures and pictures of another renderer.
 """
 
 from collections.abc import Callable, Mapping
