@@ -4,13 +4,14 @@ Scans are read with where they lie in the patient (LPS), the lumen is taken from
 its surface is meshed, and from there on it is a kidney like any other. Needs the extra ``ct``.
 """
 
+from ursnav_torch.kidney.ct.export import write_dicom, write_scan
 from ursnav_torch.kidney.ct.load import CtKidney, load_ct_kidney, name_kidney, scan_lumen
 from ursnav_torch.kidney.ct.lumen import Lumen
 from ursnav_torch.kidney.ct.markups import Markup, calyces_from_markups, curves_of, points_of, read_markups
 from ursnav_torch.kidney.ct.read import read_scan
 from ursnav_torch.kidney.ct.scan import Scan
 from ursnav_torch.kidney.ct.surface import lumen_surface
-from ursnav_torch.kidney.ct.synthetic import Patient, place_kidney, synthetic_ct, write_dicom, write_scan
+from ursnav_torch.kidney.ct.synthetic import Patient, place_kidney, synthetic_ct
 from ursnav_torch.kidney.ct.write import segment_scan, write_stl
 
 __all__ = [

@@ -14,11 +14,11 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path, write_csv
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney.anatomy import Kidney
+from ursnav_torch.kidney.ct.export import write_scan
 from ursnav_torch.kidney.ct.load import CtKidney, name_kidney, scan_lumen
 from ursnav_torch.kidney.ct.markups import points_of, read_markups
 from ursnav_torch.kidney.ct.preview import preview
 from ursnav_torch.kidney.ct.scan import Scan
-from ursnav_torch.kidney.ct.synthetic import write_scan
 from ursnav_torch.kidney.tables import write_calyces, write_centerline
 
 
