@@ -2,7 +2,7 @@
 
     python -m benchmarks.tracking                          # simulated explorations of phantoms
     python -m benchmarks.tracking data=DIR                 # and the videos of the kidneys in DIR
-    python -m benchmarks.tracking data=DIR vids=DIR        # VIDs built before, DIR/KIDNEY (else built each time)
+    python -m benchmarks.tracking data=DIR work=DIR        # VIDs are kept there; benchmarks.accuracy shares them
     python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
 
 A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``,
@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._kidneys import vid_of
 from benchmarks._results import Report, overrides, resident_mb
-from ursnav_torch.camera import equidistant_camera, load_camera
+from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.geometry import look_along, rotation_angle, transform_from_quaternion
-from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney, make_phantom_kidney, observed_calyx
+from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney, observed_calyx
 from ursnav_torch.localization.coverage import Coverage
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
 from ursnav_torch.localization.track_search import SensorReading
@@ -35,7 +36,7 @@ from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
-SETTINGS = {"data": "", "vids": "", "phantoms": 2, "views_per_calyx": 240, "pictures": 0, "out": ""}
+SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "pictures": 0, "out": ""}
 Array = NDArray[np.float64]
 
 
@@ -53,16 +54,17 @@ class Exploration:
 def main(arguments: list[str]) -> None:
     """Track everything, print and keep the figures."""
     settings = overrides(SETTINGS, arguments)
-    report = Report("tracking", settings)
-    with tempfile.TemporaryDirectory() as folder:
-        cases = [_phantom(seed, settings, Path(folder)) for seed in range(settings["phantoms"])]
+    report = Report("tracking", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(settings["work"] or scratch)
+        cases = [_phantom(seed, settings, work) for seed in range(settings["phantoms"])]
         _judge_all(report, cases)
         data = Path(settings["data"]) if settings["data"] else None
         if data is None:
             report.skip("videos", "data= names no folder of kidneys")
         else:
             names = sorted(p.parent.name for p in data.glob("*/video.mp4"))
-            cases = [_kidney(data / name, settings, Path(folder)) for name in names]
+            cases = [_kidney(data / name, work) for name in names]
             _judge_all(report, cases)
         if settings["pictures"]:
             _memory(report, *cases[0], settings["pictures"])
@@ -141,15 +143,9 @@ def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures:
     report.add("memory", "last third less the middle one", "MB", [growth])
 
 
-def _kidney(folder: Path, settings: dict[str, Any], work: Path) -> tuple[Vid, list[Exploration]]:
+def _kidney(folder: Path, work: Path) -> tuple[Vid, list[Exploration]]:
     """A kidney's VID and its videos, without and with EM."""
-    built = Path(settings["vids"]) / folder.name if settings["vids"] else work / folder.name
-    if not built.exists():
-        kidney = load_mesh_kidney(folder / "lumen.stl", folder / "calyces.csv")
-        plan = PlanSettings(settings["views_per_calyx"], settings["views_per_calyx"])
-        build_vid(
-            kidney, load_camera(folder / "camera.json"), DefaultSettings(), RaycastRenderer, plan, built, workers=1
-        )
+    vid = vid_of(folder.parent, folder.name, work)
     explorations = []
     for what in ("video", "partial"):
         if not (folder / f"{what}.mp4").is_file():
@@ -161,7 +157,7 @@ def _kidney(folder: Path, settings: dict[str, Any], work: Path) -> tuple[Vid, li
         if (folder / f"{what}_em.csv").is_file() and (folder / f"{what}.json").is_file():
             sensor = _sensor(folder / f"{what}_em.csv", folder / f"{what}.json")
             explorations.append(replace(plain, name=plain.name + " with EM", sensor=sensor))
-    return load_vid(built), explorations
+    return vid, explorations
 
 
 def _truth(path: Path) -> tuple[Array, list[str]]:
@@ -185,7 +181,7 @@ def _phantom(seed: int, settings: dict[str, Any], work: Path) -> tuple[Vid, list
     """A phantom's VID, and a simulated flight in and out of its calyces, of half of them, blurred and dimmed."""
     kidney, lens = make_phantom_kidney(seed, calyces=6), equidistant_camera(160.0, 250, 250)
     plan = PlanSettings(settings["views_per_calyx"], settings["views_per_calyx"])
-    folder = Path(settings["vids"] or work) / f"phantom_{seed}"
+    folder = work / f"phantom_{seed}"
     if not folder.exists():
         build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
     vid = load_vid(folder)
