@@ -12,8 +12,9 @@ def main(config: Any) -> int:
 
     from ursnav_torch.localization.track import Tracker
     from ursnav_torch.localization.track_video import open_source
+    from ursnav_torch.registration import recorded_readings
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer.tracked import camera_source, read_sensor, track_source
+    from ursnav_torch.viewer.tracked import camera_source, track_source
 
     vid = load_vid(caller_path(config.vid))
     if config.camera:
@@ -26,7 +27,7 @@ def main(config: Any) -> int:
     sensor = None
     if config.em is not None:
         to_kidney = None if config.em_to_kidney is None else caller_path(config.em_to_kidney)
-        sensor = read_sensor(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
+        sensor = recorded_readings(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
     print(track_source(tracker, source, caller_path(config.out), sensor, config.overwrite, progress))
     return OK
 

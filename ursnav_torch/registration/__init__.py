@@ -5,6 +5,7 @@ from ursnav_torch.registration.centerline import branch_directions, register_cen
 from ursnav_torch.registration.files import EmSamples, Landmarks, join_names, read_em_samples, read_landmarks
 from ursnav_torch.registration.jobs import centerline_job, landmarks_job, registration_summary, surface_job
 from ursnav_torch.registration.landmarks import RegistrationWarning, register_landmarks
+from ursnav_torch.registration.readings import readings_in_kidney, recorded_readings
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.rigid import fit_rigid
 from ursnav_torch.registration.surface import register_surface
@@ -42,6 +43,8 @@ __all__ = [
     "position_threshold",
     "read_em_samples",
     "read_landmarks",
+    "readings_in_kidney",
+    "recorded_readings",
     "register_centerline",
     "register_landmarks",
     "register_surface",

@@ -10,7 +10,7 @@ from typing import Any
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import partial_path
-from ursnav_torch.hardware import Frame, Stamp
+from ursnav_torch.hardware import Frame
 from ursnav_torch.hardware.cameras import decode_image
 from ursnav_torch.session.events import Event, Result, Snapshot, from_line, stamp_of
 from ursnav_torch.session.record import ABOUT, EVENTS, FORMAT
@@ -147,10 +147,3 @@ def _time(data: dict[str, Any]) -> float | None:
         return float(data["stamp"][1])
     except (TypeError, ValueError, IndexError, KeyError):
         return None
-
-
-def sequence_gaps(stamps: list[Stamp]) -> int:
-    """How many samples are missing between the first and the last of one device's stamps."""
-    if not stamps:
-        return 0
-    return stamps[-1].sequence - stamps[0].sequence + 1 - len(stamps)

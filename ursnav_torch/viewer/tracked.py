@@ -24,14 +24,10 @@ from ursnav_torch.localization.track_video import (
     live_source,
     track_rows,
 )
-from ursnav_torch.registration import Registration, read_em_samples
 from ursnav_torch.viewer.coverage_picture import draw_coverage
 
-Array = NDArray[np.float64]
 Sensor = Callable[[Moment], SensorReading | None]
 
-#: Root mean square noise of a 5-DoF sensor, and how far the kidney moves on its own, mm.
-SENSOR_MM, BREATH_MM = 0.7, 0.8
 #: Every so many views of the VID are asked what they can see; neighbors see the same.
 _REACH_STRIDE = 4
 
@@ -88,35 +84,6 @@ def camera_source(device: Camera, seconds: float | None) -> Source:
     return live_source(read, seconds)
 
 
-def read_sensor(em: Path, em_to_kidney: Path | None, offset_camera_mm: list[float]) -> Sensor:
-    """Readings of an EM file in the kidney frame, by the picture's name or number, else by the nearest time.
-
-    Raises:
-        InputError: no registration is given, or a file cannot be used.
-    """
-    if em_to_kidney is None:
-        raise InputError("em= needs em_to_kidney=, the registration that `register` makes from landmarks.")
-    offset = np.asarray(offset_camera_mm, float)
-    if offset.shape != (3,) or not np.isfinite(offset).all():
-        raise InputError(f"sensor_offset_mm must be [x,y,z] in mm in the camera frame, got {offset_camera_mm}.")
-    registration, samples = Registration.from_json(em_to_kidney), read_em_samples(em)
-    position = registration.apply(samples.position_mm)
-    tre = np.nan_to_num(registration.tre_mm(position))
-    sigma = np.sqrt((SENSOR_MM**2 + tre**2 + BREATH_MM**2) / 3)
-    rows = {Path(name).stem.lstrip("0") or "0": i for i, name in enumerate(samples.key or ())}
-
-    def reading(moment: Moment) -> SensorReading | None:
-        row = rows.get(Path(moment.name).stem.lstrip("0") or "0")
-        if row is None and samples.key is None and samples.t_s is not None:
-            near = int(np.nanargmin(np.abs(samples.t_s - moment.t_s)))
-            row = near if abs(samples.t_s[near] - moment.t_s) <= _NEAR_S else None
-        if row is None or not np.isfinite(position[row]).all():
-            return None
-        return SensorReading(position[row], offset, float(sigma[row]))
-
-    return reading
-
-
 def _summary(source: Source, states: dict[str, int], ended: str, coverage: Coverage, out: Path) -> str:
     total = sum(states.values())
     lines = [
@@ -135,7 +102,3 @@ def _summary(source: Source, states: dict[str, int], ended: str, coverage: Cover
 def _speed(spent: list[float], rate: float) -> str:
     median, slow = (1e3 * float(np.percentile(spent, q)) for q in (50, 95))
     return f"{rate:.1f} pictures a second; {median:.0f} ms a picture, 95th percentile {slow:.0f} ms"
-
-
-#: A reading belongs to a picture taken within this time.
-_NEAR_S = 0.25
