@@ -1,4 +1,4 @@
-"""The page's server: this computer alone can reach it, and nothing that a page sends names a file."""
+"""The page's server: only its own pages and this computer's programs reach it, and nothing they send names a file."""
 
 import contextlib
 import io
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.extras import import_extra
+from ursnav_torch.viewer.page.guard import guarded_server
 
 if TYPE_CHECKING:
     import viser
@@ -54,6 +55,7 @@ def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
     Raises:
         InputError: see `check_address`.
         MissingExtraError: viser is not installed.
+        UrsnavError: see `guarded_server`.
     """
     check_address(host, port)
     viser = import_extra("viser", "viewer", "The page (viewer=none does without)")
@@ -64,8 +66,15 @@ def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
         def request_share_url(self, verbose: bool = True) -> str | None:
             return None
 
-    with contextlib.redirect_stdout(io.StringIO()):  # viser's banner: standard output is for results
-        server = LocalServer(host=host, port=port or free_port(), label=title, verbose=False)
+    quiet = contextlib.redirect_stdout(io.StringIO())  # viser's banner: standard output is for results
+    server = None
+    try:
+        with quiet, guarded_server():
+            server = LocalServer(host=host, port=port or free_port(), label=title, verbose=False)
+    except UrsnavError:
+        if server is not None:
+            stop_server(server)
+        raise
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(390)
