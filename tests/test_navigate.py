@@ -55,3 +55,28 @@ def test_other_computers_are_kept_out(run, vid, record, runner):
 def test_exploring_ends_after_its_time_and_says_what_was_kept(run, vid):
     done = run("explore", f"vid={vid.folder}", "port=0", "seconds=0.5")
     assert done.code == 0 and "0 views and 0 landmarks were kept" in done.out and "page: http://127.0.0.1:" in done.err
+
+
+def test_a_kidney_without_a_vid_is_explored_and_leaves_nothing_behind(run, phantom, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    phantom.mesh.export(tmp_path / "my lumen, ä=1.stl")
+    done = run(
+        "explore", "kidney=mesh", f"kidney.path={tmp_path / 'my lumen, ä=1.stl'}", "views.views_per_calyx=2",
+        "views.passage_views=2", "camera.width=96", "camera.height=96", "port=0", "seconds=0.5",
+    )  # fmt: skip
+    assert done.code == 0 and "0 views and 0 landmarks were kept" in done.out, done.err
+    assert "page: http://127.0.0.1:" in done.err and not any((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.parametrize("what", [[], ["kidney=phantom", "vid=some_vid"]])
+def test_exploring_takes_a_vid_or_a_kidney(run, what):
+    done = run("explore", *what)
+    assert done.code == 2 and "vid=FOLDER or kidney=" in done.err
+
+
+def test_a_place_to_save_that_is_taken_is_refused_before_anybody_flies(run, vid, tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "poses.csv").touch()
+    done = run("explore", f"vid={vid.folder}", f"out={tmp_path / 'kept'}", "port=0", "seconds=0.5")
+    assert done.code == 1 and "exists already" in done.err and "page:" not in done.err

@@ -55,11 +55,11 @@ class Pictures:
         return _rgb(self._full.render(T_kidney_camera).image)
 
     def view(self, index: int) -> Picture:
-        """The picture of one of the VID's views; blank where the VID was stored without pictures."""
+        """The picture of one of the VID's views; drawn again where the VID was stored without pictures."""
         try:
             return _rgb(read_image(self.vid.image_path(index)))
         except InputError:
-            return np.full((self._lens.height, self._lens.width, 3), 230, np.uint8)
+            return self.virtual(self.vid.T_kidney_camera[index])
 
     def calyx(self, calyx: int) -> Picture:
         """Some of the VID's views of a calyx, side by side, from far to near."""

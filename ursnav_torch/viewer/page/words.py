@@ -65,7 +65,7 @@ def coverage_html(coverage: Sequence[CalyxCoverage], chosen: str) -> str:
 def look_alikes_html(known: LookAlikes | None, names: Sequence[str]) -> str:
     """The matrix of calyces that look alike: rows what is shown, columns what it was taken for, % of the row."""
     if known is None:
-        return '<div style="padding:0 .8em">This VID was built without learning from simulated pictures.</div>'
+        return '<div style="padding:0 .8em">Not known: build_vid learns it from simulated pictures.</div>'
     labels = [html.escape(name) for name in (*names, "(none)")]
     share = 100 * known.counts / np.maximum(known.counts.sum(axis=1, keepdims=True), 1)
     head = "<tr><td></td>" + "".join(f"<th>{label}</th>" for label in labels) + "</tr>"
@@ -82,7 +82,7 @@ def latency_html(state: NavigationState, rate: float) -> str:
     parts = {"waiting": t.waiting_s, "features": t.features_s, "tracking": t.tracking_s, "painting": t.painting_s}
     stages = ", ".join(f"{name} {1e3 * seconds:.0f}" for name, seconds in parts.items())
     return (
-        '<div class="ursnav-latency" style="padding:0 .8em;font-size:.85em;color:#555">'
+        f'<div class="ursnav-latency" data-state="{state.version}" style="padding:0 .8em;font-size:.85em;color:#555">'
         f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}</div>"
     )
 
