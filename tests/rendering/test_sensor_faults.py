@@ -125,6 +125,17 @@ def test_light_beside_the_lens_brightens_its_side(round_room: RaycastRenderer, a
     assert picture[mask & toward].mean() > 1.1 * picture[mask & ~toward].mean()
 
 
+def test_light_stays_in_the_passage_that_the_tip_is_in() -> None:
+    passage = RaycastRenderer(trimesh.creation.cylinder(2.0, 40.0), equidistant_camera(160.0, 120, 120))
+    lit = [
+        gray(simulate(passage, np.eye(4), SensorFaults(light=LightFaults(offset_mm=mm)), rng()))
+        for mm in (0.0, 1.4, 3.5)
+    ]
+    inside = lit[0] > 0
+    np.testing.assert_allclose(lit[2], lit[1], atol=3)  # 0.7 of the passage's 2 mm
+    assert (lit[2][inside] > 25).all()
+
+
 def test_convention_radiance_falls_with_the_square_of_distance() -> None:
     z = np.array([4.0, 8.0], np.float32)
     ahead = np.tile(np.array([[0, 0, 1]], np.float32), (2, 1))

@@ -8,6 +8,11 @@ from ursnav_torch.rendering.sensor.settings import check_settings, choice, setti
 from ursnav_torch.rendering.sensor.surface import Floats, Surface
 from ursnav_torch.rendering.sensor.wall import PaintedWall
 
+#: The LED sits within this part of the room that the tip has; a light inside the wall would leave the wall dark.
+_ROOM_USED = 0.7
+#: What of the picture's radius, as sines of the angle from the axis, counts as its rim.
+_RIM = 0.9
+
 
 @dataclass(frozen=True, slots=True)
 class LightFaults:
@@ -17,7 +22,7 @@ class LightFaults:
     """
 
     offset_mm: float = setting(
-        0.0, 0, 3.5, "from the lens to the LED; thesis 4.3.1: 1 mm camera and a larger LED on a 5 mm tip"
+        0.0, 0, 3.5, "from the lens to the LED, where there is room; thesis 4.3.1: 1 mm camera, larger LED, 5 mm tip"
     )
     angle_rad: float = choice(0.0, "around the optical axis, from the camera's x towards y, where the LED sits")
     reach_mm: float = choice(4.0, "extent of the light: radiance falls as 1 / (distance² + reach²); 1-8 mm")
@@ -36,7 +41,8 @@ class LightFaults:
 
 def shade(surface: Surface, wall: PaintedWall, faults: LightFaults) -> Floats:
     """Picture values (N, 3), blue green red, of the lit wall; 1 is the sensor's white, brighter spots exceed it."""
-    led = faults.offset_mm * np.array([np.cos(faults.angle_rad), np.sin(faults.angle_rad), 0], np.float32)
+    beside = np.array([np.cos(faults.angle_rad), np.sin(faults.angle_rad), 0], np.float32)
+    led = np.float32(min(faults.offset_mm, _ROOM_USED * room_beside(surface, beside))) * beside
     to_light = led - surface.rays * surface.distance_mm[:, None]
     square = np.einsum("ij,ij->i", to_light, to_light)
     to_light /= np.sqrt(np.maximum(square, 1e-6))[:, None]
@@ -51,6 +57,18 @@ def shade(surface: Surface, wall: PaintedWall, faults: LightFaults) -> Floats:
     if faults.turbidity_per_mm > 0:
         radiance = _through_water(radiance, surface.distance_mm, falloff, faults)
     return _expose(radiance, faults)
+
+
+def room_beside(surface: Surface, beside: Floats) -> float:
+    """How far, in mm, the wall is from the optical axis towards ``beside`` (3,): a tip fits there, and so must its LED.
+
+    It is measured at the rim of what the lens sees, within 60 degrees of that direction; inf where no wall is seen.
+    """
+    sine = np.hypot(surface.rays[:, 0], surface.rays[:, 1])
+    if not len(sine):
+        return float(np.inf)
+    rim = (sine > _RIM * sine.max()) & (surface.rays @ beside > 0.5 * sine)
+    return float((sine * surface.distance_mm)[rim].min(initial=np.inf))
 
 
 def _highlights(surface: Surface, wall: PaintedWall, to_light: Floats, faults: LightFaults) -> Floats:
