@@ -27,6 +27,8 @@ VERDICTS: dict[str, Color] = {
     UNSEEN: (200, 40, 40),
     OUT_OF_REACH: (140, 140, 140),
 }
+#: Light from everywhere.
+AMBIENT = 1.8
 #: Field of view of the frustum that stands for the camera, however wide the lens; and its length, mm at scale 1.
 FRUSTUM_RAD, FRUSTUM_MM = np.radians(70.0), 3.5
 #: Steps of the path longer than this are jumps of the track, mm at scale 1; they are not drawn.
@@ -52,7 +54,9 @@ class KidneyScene:
         server.initial_camera.position = center - 2.7 * extent * away
         server.initial_camera.look_at = center
         server.initial_camera.up = up
-        self._tissue = self._mesh("tissue", kidney.mesh, np.ones(len(kidney.mesh.faces), bool), TISSUE, 0.28)
+        self._light()
+        everywhere = np.ones(len(kidney.mesh.faces), bool)
+        self._tissue = self._mesh("tissue", kidney.mesh, everywhere, TISSUE, 0.42, "front")
         self._balls: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._colors: dict[str, Color] = {}
@@ -62,13 +66,19 @@ class KidneyScene:
         self._axes: Any = None
         self._painted, self._drawn = -1, dict[str, Array]()
 
+    def _light(self) -> None:
+        """Plain light: reflections and shadows take a browser without a graphics card ten seconds to prepare."""
+        self._scene.configure_environment_map(None)
+        self._scene.configure_default_lights(cast_shadow=False)
+        self._scene.add_light_ambient("/light", intensity=AMBIENT)
+
     def paint(self, of_face: NDArray[np.int64], seen: NDArray[np.bool_]) -> None:
         """Color the wall that was seen; costs as much as there is of it, so it is done when there is more."""
         count = int(seen.sum())
         if count == self._painted:
             return
         self._painted = count
-        self._mesh("seen", self.kidney.mesh, seen[of_face], SEEN, 0.5)
+        self._mesh("seen", self.kidney.mesh, seen[of_face], SEEN, 0.5, "double")
 
     def verdicts(self, coverage: Sequence[CalyxCoverage]) -> None:
         """Color the calyces' balls."""
@@ -142,14 +152,16 @@ class KidneyScene:
         """The calyx's number, which its nodes are called by: names may hold anything."""
         return int(np.linalg.norm(self.kidney.tips_mm - tip_mm, axis=1).argmin())
 
-    def _mesh(self, name: str, mesh: trimesh.Trimesh, keep: NDArray[np.bool_], color: Color, opacity: float) -> Any:
+    def _mesh(
+        self, name: str, mesh: trimesh.Trimesh, keep: NDArray[np.bool_], color: Color, opacity: float, side: str
+    ) -> Any:
         faces = np.asarray(mesh.faces)[keep]
         used, faces = np.unique(faces, return_inverse=True)
         if not len(used):
             return None
         return self._scene.add_mesh_simple(
             f"/kidney/{name}", np.asarray(mesh.vertices, np.float32)[used], faces.reshape(-1, 3).astype(np.uint32),
-            color=color, opacity=opacity, side="double", cast_shadow=False, receive_shadow=False,
+            color=color, opacity=opacity, side=side, cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
     def _lines(self, name: str, points: Array, color: Color, thickness: float) -> None:
