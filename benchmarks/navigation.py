@@ -72,7 +72,7 @@ def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings
         navigator.forget_place()
         located, passed, begun = navigator.located, navigator.passed_over, time.monotonic()
         navigator.latencies.clear()
-        for number, frame in enumerate(_at_rate(frames, rate, 60 * settings["minutes"])):
+        for number, frame in enumerate(at_rate(frames, rate, 60 * settings["minutes"])):
             navigator.take(frame)
             for result in navigator.results():
                 states[result.row.get("state", "lost")] += 1
@@ -102,7 +102,7 @@ def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings
     report.add(group, "memory, last third less first", "MB", [growth], n=len(memory))
 
 
-def _at_rate(frames: list[Frame], rate_hz: float, seconds: float) -> Iterator[Frame]:
+def at_rate(frames: list[Frame], rate_hz: float, seconds: float) -> Iterator[Frame]:
     """The pictures forth and back, without a jump, each stamped with the time at which it is given."""
     there_and_back = frames + frames[-2:0:-1]
     begun = time.monotonic()

@@ -19,12 +19,13 @@ logger = logging.getLogger(__name__)
 
 #: Looks at the state a second.
 UPDATES_HZ = 8.0
-#: Seconds between pictures beside the kidney, and in it: there a browser needs its time to show one.
-PICTURE_S, FRUSTUM_S = 0.2, 0.5
-#: On a slow machine pictures come so many times less often.
-SLOWER = 3.0
-#: Seconds between paintings of wall and ways.
-PAINT_S = 1.0
+#: Seconds between pictures beside the kidney.
+PICTURE_S = 0.2
+#: Seconds between changes of the scene, of the picture in it, and of wall and ways. The browser draws on for a quarter
+#: of a second after each, which without a graphics card takes a core.
+SCENE_S, FRUSTUM_S, PAINT_S = 0.25, 0.5, 1.0
+#: On a slow machine pictures, and scenes, change so many times less often; the words do not.
+SLOWER, MUCH_SLOWER = 3.0, 6.0
 
 
 class LivePage:
@@ -50,11 +51,12 @@ class LivePage:
         self._version = -1
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._shown: Any = None
+        self._framed: Any = None
         self._add_left()
         self._add_right()
         self._threads = [
             threading.Thread(target=self._run, args=part, name=f"page{part[0].__name__}", daemon=True)
-            for part in ((self._show_words, UPDATES_HZ), (self._show_pictures, 1 / PICTURE_S))
+            for part in ((self._show_words, UPDATES_HZ), (self._show_pictures, 2 / PICTURE_S))
         ]
         for thread in self._threads:
             thread.start()
@@ -118,7 +120,7 @@ class LivePage:
                 logger.exception("The page could not be brought up to date.")
 
     def _show_words(self, state: NavigationState) -> None:
-        """Texts and the camera's place: little to send."""
+        """Texts: little to send and to draw."""
         if self._replay:
             self._replay.show()
         if state.version == self._version:
@@ -132,22 +134,30 @@ class LivePage:
             self._coverage.content = coverage_html(g.coverage, g.chosen)
             if self._robot is not None:
                 self._robot.show(state)
-            self._scene.show_camera(state.T_kidney_camera)
-            self._scene.verdicts(g.coverage)
 
     def _show_pictures(self, state: NavigationState) -> None:
-        """Pictures, wall and ways: more to make and to send, so beside the words and less often."""
-        slower, route = SLOWER if state.effort else 1.0, state.guidance.route
+        """Pictures and scene: more to make, to send and to draw, so beside the words and less often."""
+        slower, much_slower = (SLOWER, MUCH_SLOWER) if state.effort else (1.0, 1.0)
         if state.frame is not None and state.frame is not self._shown and self._due("pair", PICTURE_S * slower):
             self._shown = state.frame
             pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
             self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
-            if self._due("frustum", FRUSTUM_S * slower):
-                self._scene.show_picture(self._pictures.scope(state.frame.image))
+        if self._due("scene", SCENE_S * much_slower):
+            with self.server.atomic():
+                self._show_scene(state)
+
+    def _show_scene(self, state: NavigationState) -> None:
+        """All changes at once, for which the browser draws once."""
+        scene, g = self._scene, state.guidance
+        scene.show_camera(state.T_kidney_camera)
+        scene.verdicts(g.coverage)
+        if state.frame is not None and state.frame is not self._framed and self._due("frustum", FRUSTUM_S):
+            self._framed = state.frame
+            scene.show_picture(self._pictures.scope(state.frame.image))
         if self._due("paint", PAINT_S):
-            self._scene.paint(self.desk.navigator.guide.coverage.patches.of_face, state.guidance.seen)
-            self._scene.show_path(state.path_mm)
-            self._scene.show_route(route.points_mm if route else None)
+            scene.paint(self.desk.navigator.guide.coverage.patches.of_face, g.seen)
+            scene.show_path(state.path_mm)
+            scene.show_route(g.route.points_mm if g.route else None)
 
     def _due(self, what: str, every_s: float) -> bool:
         """Whether it is time again; if so, the time counts anew."""

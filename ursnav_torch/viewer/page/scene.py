@@ -64,6 +64,7 @@ class KidneyScene:
             self._add_calyx(calyx.name, calyx.tip_mm, on_calyx)
         self._camera: Any = None
         self._axes: Any = None
+        self._placed: Array | None = None
         self._painted, self._drawn = -1, dict[str, Array]()
 
     def _light(self) -> None:
@@ -89,6 +90,9 @@ class KidneyScene:
 
     def show_camera(self, T_kidney_camera: Array | None) -> None:
         """The scope's camera with its axes; None hides it."""
+        if T_kidney_camera is self._placed:
+            return
+        self._placed = T_kidney_camera
         if T_kidney_camera is None:
             if self._camera is not None:
                 self._camera.visible = self._axes.visible = False

@@ -44,10 +44,11 @@ def robot_html(state: NavigationState) -> str:
 def picture_html(picture: NDArray[np.uint8], caption: str, kind: str) -> str:
     """A picture (H, W, 3) red, green, blue, within the text itself: nothing is fetched for it."""
     data = base64.b64encode(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
-    text = html.escape(caption, quote=True)
+    text, (height, width) = html.escape(caption, quote=True), picture.shape[:2]
     return (
         f'<figure class="ursnav-{kind}" style="margin:0 .8em"><figcaption style="font-size:.85em;color:#555">{text}'
-        f'</figcaption><img alt="{text}" style="width:100%" src="data:image/jpeg;base64,{data.decode()}"></figure>'
+        f'</figcaption><img alt="{text}" style="width:100%;aspect-ratio:{width}/{height}" '
+        f'src="data:image/jpeg;base64,{data.decode()}"></figure>'
     )
 
 
