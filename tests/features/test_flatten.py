@@ -2,10 +2,13 @@ import numpy as np
 import torch
 
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.features.flatten import flatten, masked_blur, remove_stripes
+from ursnav_torch.features.flatten import LocalPlane, flatten, masked_blur, remove_stripes
 
 LENS = equidistant_camera(160, 125, 125)
 MASK = torch.from_numpy(LENS.pixel_rays()[1]).float()
+
+
+AROUND = LocalPlane(MASK, 6.0)
 
 
 def wall() -> torch.Tensor:
@@ -25,12 +28,27 @@ def test_relief_does_not_know_the_exposure_or_the_vignette() -> None:
     """A factor on the light is a constant in the logarithm; a vignette is nearly one within the surroundings."""
     v, u = torch.meshgrid(torch.arange(125.0), torch.arange(125.0), indexing="ij")
     vignette = -1.5 * ((u - 62) ** 2 + (v - 62) ** 2) / 62**2
-    relief = flatten(wall(), MASK, 6.0)
-    torch.testing.assert_close(flatten(wall() + 0.7, MASK, 6.0), relief, rtol=1e-3, atol=1e-3)
+    relief = flatten(wall(), MASK, AROUND)
+    torch.testing.assert_close(flatten(wall() + 0.7, MASK, AROUND), relief, rtol=1e-3, atol=1e-3)
     core = masked_blur(MASK, torch.ones_like(MASK), 3.0) > 0.999
-    both = torch.stack([relief[core], flatten(wall() + vignette, MASK, 6.0)[core]])
+    both = torch.stack([relief[core], flatten(wall() + vignette, MASK, AROUND)[core]])
     assert torch.corrcoef(both)[0, 1] > 0.98
     assert (relief[MASK == 0] == 0).all() and relief.abs().max() <= 3
+
+
+def test_surroundings_of_a_slope_are_the_slope_itself_even_at_the_rim() -> None:
+    """A mean of the surroundings is off by a whole slope there: the light's fall-off would look like relief."""
+    v, u = torch.meshgrid(torch.arange(125.0), torch.arange(125.0), indexing="ij")
+    slope = 3 + 0.05 * u - 0.08 * v
+    off = ((AROUND(slope) - slope) * MASK).abs().max()
+    assert off < 0.02 < 0.2 < ((masked_blur(slope, MASK, 6.0) - slope) * MASK).abs().max()
+
+
+def test_beam_of_the_light_leaves_the_relief_alone_up_to_the_rim() -> None:
+    beam = torch.from_numpy(np.log(np.clip(LENS.pixel_rays()[0][..., 2], 0.05, 1))).float()
+    rim = (MASK > 0) & (masked_blur(MASK, torch.ones_like(MASK), 4.0) < 0.98)
+    both = torch.stack([flatten(wall(), MASK, AROUND)[rim], flatten(wall() + 0.5 * beam, MASK, AROUND)[rim]])
+    assert torch.corrcoef(both)[0, 1] > 0.97
 
 
 def test_one_stripe_pattern_is_taken_out_and_nothing_else() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.geometry import angle_between, look_along, rotation_angle, transform_from
-from ursnav_torch.localization import Localizer
+from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 
@@ -64,6 +64,15 @@ def test_pictures_between_the_views_are_found_near(localizer: Localizer, vid: Vi
         off_mm.append(np.linalg.norm(found.T_kidney_camera[:3, 3] - at))
         off_deg.append(np.degrees(angle_between(found.T_kidney_camera[:3, 2], axis)))
     assert np.mean(right) >= 5 / 6 and np.median(off_mm) < 3 and np.median(off_deg) < 10
+
+
+def test_a_refined_pose_that_fits_too_badly_is_dropped_for_the_views_own(vid: Vid, picture: np.ndarray) -> None:
+    nearest = Localizer(vid, settings=LocalizationSettings(refine=False)).locate(picture)
+    strict = Localizer(vid, settings=LocalizationSettings(believe_refined=1.1)).locate(picture)
+    assert strict.calyx == nearest.calyx and strict.view == nearest.view
+    np.testing.assert_allclose(strict.T_kidney_camera, nearest.T_kidney_camera)
+    refined = Localizer(vid, settings=LocalizationSettings(believe_refined=-1.0)).locate(picture)
+    assert not np.allclose(refined.T_kidney_camera, nearest.T_kidney_camera)
 
 
 def test_neither_color_nor_exposure_matters(localizer: Localizer, picture: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from ursnav_torch.features.base import NO_MAPS, EdgePoints, Extractor, Features
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.flatten import LocalPlane
 from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
 from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps
 from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
@@ -15,6 +16,7 @@ __all__ = [
     "EdgePoints",
     "Extractor",
     "Features",
+    "LocalPlane",
     "PolarGrid",
     "Settings",
     "ThesisExtractor",

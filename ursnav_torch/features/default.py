@@ -12,7 +12,7 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
-from ursnav_torch.features.flatten import blur, flatten, local_contrast, masked_blur, remove_stripes
+from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
 from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import sample
@@ -29,7 +29,7 @@ class DefaultSettings:
         points: edge points kept a picture.
         sampling: how they are chosen, see `features.sampling`.
         working_px: shorter side of the reduced picture on which everything is computed.
-        relief_reach: reach of the surroundings by which the log picture is divided.
+        relief_reach: reach of the surroundings that are subtracted from the log picture.
         relief_blur, edge_blurs: smoothing of the relief map, and of the gradient maps (one pair of channels each).
         contour_blur: smoothing before Canny.
         low, high: Canny's thresholds as percentiles of the thinned gradient's ridges.
@@ -72,6 +72,7 @@ class DefaultExtractor:
         self._small_mask = (blur(inside, 1.0) > 0.99).float()
         rim = settings.contour_blur * self._unit * 2 + 1
         self._contour_mask = blur(self._small_mask, rim) > 0.97
+        self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
         self._polar = polar_grid(self.working_camera)
 
     def extract(self, image: NDArray[np.uint8], virtual: bool = False) -> Features:
@@ -83,12 +84,11 @@ class DefaultExtractor:
         small = resize(log_image[None, None], (self.working_camera.height, self.working_camera.width), antialias=True)[
             0, 0
         ]
-        s, unit, mask = self.settings, self._unit, self._small_mask
+        s, unit, mask, around = self.settings, self._unit, self._small_mask, self._around
         small = masked_blur(small, mask, max(s.relief_blur * unit, 0.5))
-        reach = s.relief_reach * unit
-        relief = flatten(small, mask, reach)
-        contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, reach)
-        grain = local_contrast(small, mask, reach) - contrast
+        relief = flatten(small, mask, around)
+        contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, around)
+        grain = local_contrast(small, mask, around) - contrast
         slopes = [gradient(masked_blur(relief, mask, b * unit)) * mask for b in s.edge_blurs]
         fields = torch.cat([relief[None], *slopes])
         ridge = thin_gradient(relief, s.contour_blur * unit) * self._contour_mask

@@ -11,6 +11,8 @@ from torch import Tensor
 STRIPE_STRENGTH = 12.0
 #: Slowest stripes looked for, cycles a row; slower changes are anatomy.
 STRIPE_MIN_FREQUENCY = 0.08
+#: Slopes are held back a little where surroundings are too thin to tell them.
+_FLAT = 1e-3
 
 
 def blur(x: Tensor, sigma_px: float) -> Tensor:
@@ -51,18 +53,54 @@ def remove_stripes(x: Tensor, mask: Tensor, most: int = 3) -> Tensor:
     return x
 
 
-def flatten(log_image: Tensor, mask: Tensor, sigma_px: float, floor: float = 0.02, most: float = 3.0) -> Tensor:
+class LocalPlane:
+    """The plane through an image's surroundings of each pixel, by least squares over the pixels inside.
+
+    A mean would do in the middle of a picture. At its rim all surroundings lie on one side, and a mean takes every
+    slope of the light, from its beam or the lens's vignette, for relief. This is normalized convolution of first
+    order (Knutsson and Westin, Normalized and differential convolution, CVPR 1993).
+
+    Args:
+        mask: (H, W) 1.0 inside the picture.
+        sigma_px: reach of the surroundings, the width of their Gaussian weight.
+
+    Attributes:
+        sigma_px: as given.
+        columns: (3, H, W) what the image is multiplied by before it is blurred: inside, and x and y there.
+        weights: (3, H, W) how much each blurred product counts.
+    """
+
+    def __init__(self, mask: Tensor, sigma_px: float) -> None:
+        self.sigma_px = sigma_px
+        y, x = ((torch.arange(n, dtype=torch.float64) - (n - 1) / 2) / sigma_px for n in mask.shape)
+        one, inside = torch.ones_like(mask, dtype=torch.float64), mask.double()
+        column = torch.stack([one, x[None] * one, y[:, None] * one])
+        moments = blur((column[:, None] * column * inside).flatten(0, 1), sigma_px).view(3, 3, *mask.shape)
+        moments += (
+            _FLAT * moments[0, 0] * torch.diag(torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64))[..., None, None]
+        )
+        moments += 1e-9 * torch.eye(3, dtype=torch.float64)[..., None, None]
+        solved = torch.linalg.solve(moments.permute(2, 3, 0, 1), column.permute(1, 2, 0)[..., None])[..., 0]
+        self.columns = (column * inside).float()
+        self.weights = (solved.permute(2, 0, 1) * inside).float()
+
+    def __call__(self, image: Tensor) -> Tensor:
+        """The planes' heights (H, W) at the pixels of an image (H, W); 0 outside."""
+        return (blur(self.columns * image, self.sigma_px) * self.weights).sum(0)
+
+
+def flatten(log_image: Tensor, mask: Tensor, around: LocalPlane, floor: float = 0.02, most: float = 3.0) -> Tensor:
     """Relief (H, W): the log image less its surroundings, in units of its own local contrast, within +-``most``.
 
     Args:
         log_image: (H, W) logarithm of intensity.
         mask: (H, W) 1.0 inside the picture.
-        sigma_px: reach of the surroundings.
+        around: the surroundings.
         floor: contrast (in log units) below which nothing is amplified: noise, not relief.
         most: highlights and vessels are clamped here.
     """
-    detail = (log_image - masked_blur(log_image, mask, sigma_px)) * mask
-    contrast = (masked_blur(detail * detail, mask, sigma_px) + floor**2).sqrt()
+    detail = (log_image - around(log_image)) * mask
+    contrast = (masked_blur(detail * detail, mask, around.sigma_px) + floor**2).sqrt()
     return (detail / contrast).clamp(-most, most) * mask
 
 
@@ -74,10 +112,10 @@ def _least_squares(a: Tensor, b: Tensor) -> Tensor:
     return torch.stack([ss * cb - cs * sb, cc * sb - cs * cb]) / (cc * ss - cs * cs)
 
 
-def local_contrast(log_image: Tensor, mask: Tensor, sigma_px: float) -> float:
+def local_contrast(log_image: Tensor, mask: Tensor, around: LocalPlane) -> float:
     """log10 of the median, over the picture, of the local standard deviation of a log image (H, W)."""
-    detail = (log_image - masked_blur(log_image, mask, sigma_px)) * mask
-    spread = masked_blur(detail * detail, mask, sigma_px)[mask > 0].median().clamp_min(1e-12)
+    detail = (log_image - around(log_image)) * mask
+    spread = masked_blur(detail * detail, mask, around.sigma_px)[mask > 0].median().clamp_min(1e-12)
     return float(spread.log10()) / 2
 
 

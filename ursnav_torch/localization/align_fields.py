@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.features import DefaultSettings
+from ursnav_torch.features import DefaultSettings, LocalPlane
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -63,6 +63,10 @@ class AlignGrid:
         self.rays = rays[self.compared]
         self.motion = _motion(self.camera, self.rays).astype(np.float32)
         self._shares: dict[float, Floats] = {}
+        around = LocalPlane(torch.from_numpy(self.mask), settings.relief_reach * self._unit)
+        self._columns, self._weights = (
+            v.numpy().transpose(1, 2, 0)[..., None] for v in (around.columns, around.weights)
+        )
 
     def of_picture(self, relief: Tensor) -> Fields:
         """Fields of a picture from its relief (h, w) at the extractor's working size."""
@@ -83,7 +87,7 @@ class AlignGrid:
         mask = self.mask[..., None]
         log_image = self._masked_blur(np.log(gray + 8), max(self._settings.relief_blur * self._unit, 0.5))
         reach = self._settings.relief_reach * self._unit
-        detail = (log_image - self._masked_blur(log_image, reach)) * mask
+        detail = (log_image - self._planes(log_image, reach)) * mask
         contrast = np.sqrt(self._masked_blur(detail * detail, reach) + np.float32(_FLOOR**2))
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
@@ -105,6 +109,11 @@ class AlignGrid:
         half = GRADIENT_SOFTNESS * np.sqrt(np.median(strength[self.compared, 0])) + np.float32(1e-6)
         share = self.mask[..., None] / np.sqrt(strength + half * half)
         return np.stack([relief, x * share, y * share], axis=2)
+
+    def _planes(self, x: Floats, sigma_px: float) -> Floats:
+        """Planes through the surroundings (H, W, M) of (H, W, M), as `features.LocalPlane`."""
+        products = x[:, :, None] * self._columns
+        return (_blur(products.reshape(*x.shape[:2], -1), sigma_px).reshape(products.shape) * self._weights).sum(2)
 
     def _masked_blur(self, x: Floats, sigma_px: float) -> Floats:
         """Gaussian mean of (H, W, M) over the pixels inside, as `features.flatten.masked_blur`."""

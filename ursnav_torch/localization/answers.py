@@ -82,7 +82,7 @@ class Judgement:
         calyx: the answer.
         voted: the calyx that the nearest views vote for.
         numbers: what confidence is computed from, see `confidence.Evidence`.
-        refined: the refined pose, None where refinement is off.
+        refined: the refined pose, None where refinement is off or its drawing fits too badly.
     """
 
     ranking: Ranking

@@ -101,7 +101,7 @@ def learn_confidence(
             far.append(lumen.to_calyces(T[:3, 3])[0, calyx] if calyx >= 0 else np.nan)
     numbers, answered = np.array([f.numbers for f in found]), np.array([f.calyx for f in found])
     voted = np.array([f.voted for f in found])
-    nearest = numbers if found[0].refined is None else numbers[:, :-REFINED_NUMBERS]
+    nearest = numbers[:, :-REFINED_NUMBERS] if localizer.refines else numbers
     right = np.array(shown) == answered
     look_alikes = find_look_alikes(np.array(shown), answered, np.array(far), len(vid.kidney.calyces))
     return {

@@ -57,6 +57,11 @@ class Localizer:
         self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
         self._grids = polar_grid(self._extractor.working_camera, self._tilts)
 
+    @property
+    def refines(self) -> bool:
+        """Whether poses are refined: asked for, and possible with this VID's features."""
+        return self._refiner is not None
+
     def locate(self, image: NDArray[np.uint8]) -> Location:
         """The place of a picture (H, W) or (H, W, 3) blue, green, red, uint8, taken through the VID's lens.
 
@@ -98,6 +103,8 @@ class Localizer:
         refined = self._refiner.refine(features, [self._mean(poses, ranking.distance, i) for i in rows])
         calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
+        if refined.score < self.settings.believe_refined:
+            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, numbers, None)
         return Judgement(ranking, poses, calyces, calyx, seen.calyx, numbers, refined)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
