@@ -22,8 +22,10 @@ from ursnav_torch.hardware import (
     build_rig,
     make_twin,
 )
+from ursnav_torch.kidney import read_calyces
 from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Navigator, hold_navigation
+from ursnav_torch.vid import read_views
 from ursnav_torch.viewer.page import ExplorePage, web_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -83,6 +85,10 @@ class Tab:
 
     def press(self, button):
         self.tab.get_by_role("button", name=button, exact=True).click()
+
+    def field(self, label):
+        """The input beside a label."""
+        return self.tab.locator("label", has_text=label).locator("xpath=(ancestor::*[.//input])[last()]//input")
 
     def text(self, part):
         return re.sub(r"\s+", " ", self.tab.inner_text(f".ursnav-{part}")).strip()
@@ -225,7 +231,7 @@ def test_exploring_by_hand_takes_views_and_picks_landmarks(browser, vid, tmp_pat
         before = page.T_kidney_camera
         tab.tab.keyboard.press("j")
         tab.press("Take this view")
-        tab.wait(lambda text: "1 views" in text)
+        tab.wait(lambda text: "1 view and" in text)
         assert not np.allclose(before, page.T_kidney_camera)
         tab.tab.get_by_text("Pick landmarks").click()
         for x, y in screen_positions(page, tab, vid.kidney.centerline.points_mm[[0, 5, 10]]):
@@ -244,6 +250,54 @@ def test_exploring_by_hand_takes_views_and_picks_landmarks(browser, vid, tmp_pat
             "landmarks.csv",
             "poses.csv",
         }
+        assert (tab.errors, tab.foreign) == ([], [])
+        tab.tab.close()
+    finally:
+        page.close()
+
+
+def test_a_calyx_named_and_a_view_taken_by_hand_are_read_back(browser, vid, renderer, phantom_lumen, tmp_path):
+    kept = tmp_path / "my kept views"
+    page = ExplorePage(vid, kept, port=0)
+    try:
+        tab = Tab(browser, page.url, shown=".ursnav-pair")
+        tab.press("Go there")
+        tab.wait(lambda text: text.startswith("Calyx A."))
+        name = tab.field("new name")
+        name.fill("B")
+        name.press("Tab")
+        tab.press("Rename")
+        tab.tab.get_by_text("cannot be called 'B'").wait_for(timeout=1e3 * PATIENCE_S)
+        name.fill("oberer Kelch, ä")
+        name.press("Tab")
+        tab.press("Rename")
+        tab.wait(lambda text: text.startswith("Calyx oberer Kelch, ä."))
+        before = page.T_kidney_camera
+        tab.press("look left (J)")
+        until = time.monotonic() + PATIENCE_S
+        while np.allclose(before, page.T_kidney_camera) and time.monotonic() < until:
+            tab.tab.wait_for_timeout(100)
+        tab.press("Take this view")
+        tab.wait(lambda text: "1 view and 0 landmarks kept" in text)
+        tab.press("Save")
+        tab.tab.get_by_text("1 views, 6 names, 0 landmarks in").wait_for(timeout=1e3 * PATIENCE_S)
+        calyces, pelvis = read_calyces(kept / "calyces.csv")
+        assert [c.name for c in calyces] == ["oberer Kelch, ä", "B", "C", "D", "E", "F"]
+        assert np.allclose([c.tip_mm for c in calyces], vid.kidney.tips_mm, atol=1e-4)
+        assert np.allclose(pelvis, vid.kidney.pelvis_mm, atol=1e-4)
+        views = read_views(kept)
+        assert np.allclose(views.T_kidney_camera, page.T_kidney_camera[None], atol=1e-5)
+        assert not np.allclose(views.T_kidney_camera[0], before, atol=1e-2)
+        assert views.plan(page.collection.kidney, phantom_lumen).calyx.tolist() == [0]
+        picture = cv2.imread(str(views.pictures[0]), cv2.IMREAD_GRAYSCALE)
+        drawn = renderer.render(page.T_kidney_camera).image
+        assert np.array_equal(picture, drawn if drawn.ndim == 2 else cv2.cvtColor(drawn, cv2.COLOR_BGR2GRAY))
+        assert tab.text("views").startswith("views of calyx oberer Kelch, ä")
+        for x, y in screen_positions(page, tab, vid.kidney.tips_mm[1:]):  # a ball still leads to its calyx
+            if 300 < x < 800 and 170 < y < 880:
+                tab.tab.mouse.click(x, y)
+                tab.wait(lambda text: not text.startswith("views of calyx oberer Kelch, ä"), "views")
+                break
         assert (tab.errors, tab.foreign) == ([], [])
         tab.tab.close()
     finally:

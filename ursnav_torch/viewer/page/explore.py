@@ -17,8 +17,8 @@ from ursnav_torch.vid import PlanSettings, Vid
 from ursnav_torch.viewer.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.viewer.page.pictures import Pictures
 from ursnav_torch.viewer.page.scene import KidneyScene
-from ursnav_torch.viewer.page.server import on_press, start_server, stop_server
-from ursnav_torch.viewer.page.words import look_alikes_html, picture_html, status_html
+from ursnav_torch.viewer.page.server import on_choice, on_press, start_server, stop_server
+from ursnav_torch.viewer.page.words import kept_words, look_alikes_html, picture_html, status_html
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,6 @@ class ExplorePage:
         self.url = f"http://127.0.0.1:{self.server.get_port()}"
         self._pictures = Pictures(vid)
         self._scene = KidneyScene(self.server, vid.kidney, self.go_to)
-        self._scene.on_wall(self._pick)
         self._add_panels()
         self._show()
 
@@ -73,7 +72,7 @@ class ExplorePage:
             away = np.linalg.norm(self.vid.T_kidney_camera[own, :3, 3] - self.vid.kidney.tips_mm[index], axis=1)
             self.T_kidney_camera = self.vid.T_kidney_camera[own[np.argsort(away)[len(own) // 2]]].copy()
             self._chosen.value = calyx
-            self._views.content = picture_html(self._pictures.calyx(index), f"views of calyx {calyx}", "views")
+            self._show_views(index)
             self._show()
 
     def take_view(self) -> None:
@@ -97,6 +96,7 @@ class ExplorePage:
             self._scene.rename(old, new, self.go_to)
             self._chosen.options = [c.name for c in self.collection.kidney.calyces]
             self._chosen.value = new
+            self._show_views(self._chosen.options.index(new))
             self._show()
 
     def save(self) -> str:
@@ -136,7 +136,8 @@ class ExplorePage:
             on_press(gui.add_button("Take this view", hint="Keeps the pose for a VID."))(self.take_view)
             self._count = gui.add_number("views a calyx", 40, min=1, max=1000, step=1)
             on_press(gui.add_button("Plan views again", hint="Replaces the views kept."))(self.plan_again)
-            self._picking = gui.add_checkbox("Pick landmarks: click the kidney", False)
+            picking = gui.add_checkbox("Pick landmarks: click the kidney", False)
+            on_choice(picking, lambda wanted: self._scene.on_wall(self._pick if wanted else None))
             on_press(gui.add_button("Take back the last landmark"))(self._unpick)
             on_press(gui.add_button("Save", color="green"))(lambda: (self.save(), None)[1])
             self._said = gui.add_html("")
@@ -155,7 +156,7 @@ class ExplorePage:
     def _pick(self, origin: Array, direction: Array) -> None:
         """Somebody clicked the kidney."""
         with self._lock:
-            place = pick_wall(self._wall, origin, direction) if self._picking.value else None
+            place = pick_wall(self._wall, origin, direction)
             if place is not None:
                 self.collection.landmarks_mm.append(place)
                 self._show()
@@ -166,11 +167,15 @@ class ExplorePage:
                 self.collection.landmarks_mm.pop()
             self._show()
 
+    def _show_views(self, calyx: int) -> None:
+        name = self.collection.kidney.calyces[calyx].name
+        self._views.content = picture_html(self._pictures.calyx(calyx), f"views of calyx {name}", "views")
+
     def _show(self) -> None:
         T, kept = self.T_kidney_camera, self.collection
         index = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         place = f"Calyx {kept.kidney.calyces[index].name}." if index >= 0 else "No calyx observed."
-        collected = f" {len(kept.T_kidney_camera)} views and {len(kept.landmarks_mm)} landmarks kept."
+        collected = f" {kept_words(len(kept.T_kidney_camera), len(kept.landmarks_mm))} kept."
         self._status.content = status_html(place + collected)
         picture = self._pictures.large(T)
         self._view.content = picture_html(picture, "virtual view from here", "pair")
@@ -195,4 +200,4 @@ def explore_vid(vid: Vid, out: Path | None, overwrite: bool, host: str, port: in
     finally:
         page.close()
     kept = page.collection
-    return f"{len(kept.T_kidney_camera)} views and {len(kept.landmarks_mm)} landmarks were kept on the page."
+    return f"{kept_words(len(kept.T_kidney_camera), len(kept.landmarks_mm))} were kept on the page."

@@ -114,9 +114,14 @@ class KidneyScene:
         if self._camera is not None:
             self._camera.image = picture
 
-    def on_wall(self, action: Callable[[Array, Array], None]) -> None:
-        """Call ``action(origin, direction)`` with the ray of a click on the kidney, kidney frame."""
-        self._tissue.on_click(lambda event: action(np.array(event.ray_origin), np.array(event.ray_direction)))
+    def on_wall(self, action: Callable[[Array, Array], None] | None) -> None:
+        """Call ``action(origin, direction)`` with the ray of a click on the kidney, kidney frame; None for nothing.
+
+        Meanwhile the wall takes the clicks on calyces that lie behind it.
+        """
+        self._tissue.remove_click_callback("all")
+        if action is not None:
+            self._tissue.on_click(lambda event: action(np.array(event.ray_origin), np.array(event.ray_direction)))
 
     def show_points(self, name: str, points_mm: Sequence[Array], color: Color, factor: float = 1.0) -> None:
         """Places, as dots."""

@@ -88,6 +88,16 @@ def latency_html(state: NavigationState, rate: float) -> str:
     )
 
 
+def kept_words(views: int, landmarks: int) -> str:
+    """How much was collected.
+
+    Example:
+        >>> kept_words(1, 3)
+        '1 view and 3 landmarks'
+    """
+    return f"{views} view{'s' * (views != 1)} and {landmarks} landmark{'s' * (landmarks != 1)}"
+
+
 def _share_cell(share: float) -> str:
     text = f"{share:.0f}" if share >= 0.5 else ""
     return f'<td style="text-align:center;background:rgba(30,90,200,{share / 130:.2f})">{text}</td>'
