@@ -62,6 +62,16 @@ def test_a_stop_on_the_device_counts_while_the_page_drives():
         assert read.emergency_stop and read.insertion == 1.0
 
 
+def test_the_light_is_dimmed_from_a_page_where_it_may_drive():
+    with Console(Hands(light_step=1), may_drive=True) as console:
+        console.brighten(-1)
+        console.brighten(-1)
+        assert console.read().light_step == -1 and console.read().light_step == 1
+    with Console(None, may_drive=False) as console:
+        console.brighten(1)
+        assert console.read().light_step == 0
+
+
 def test_nonsense_from_a_page_moves_nothing():
     with Console(None, may_drive=True) as console:
         console.drive("../../etc/passwd")

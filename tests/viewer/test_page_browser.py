@@ -203,6 +203,16 @@ def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):
     assert page.desk.console.by_hand and before.robot == "stopped"
     tab.tab.get_by_role("button", name="Arm", exact=True).click()
     tab.wait(lambda text: "robot: armed" in text, "robot")
+    tab.press("Brighter")
+    tab.wait(lambda text: not text.startswith("Searching"))
+
+
+def test_no_button_moves_while_the_words_change(tab):
+    button, seen = tab.tab.get_by_role("button", name="End the session"), set()
+    for _ in range(10):
+        seen.add(button.bounding_box()["y"])
+        tab.tab.wait_for_timeout(200)
+    assert len(seen) == 1
 
 
 def test_closing_and_opening_the_page_again_loses_nothing(tab, browser, page):

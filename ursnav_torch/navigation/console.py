@@ -44,6 +44,7 @@ class Console(Gamepad):
         self._lock = threading.Lock()
         self._move, self._until_s = (0.0, 0.0, 0.0), 0.0
         self._presses: set[str] = set()
+        self._light_steps = 0
 
     @property
     def has_robot(self) -> bool:
@@ -79,6 +80,12 @@ class Console(Gamepad):
         if self.may_drive:
             self._press("arm")
 
+    def brighten(self, steps: int) -> None:
+        """Brighten the light by steps, or dim it, where the page may; a controller's reset puts its light out."""
+        if self.may_drive:
+            with self._lock:
+                self._light_steps += steps
+
     def emergency_stop(self) -> None:
         """Stop everything now; a pilot does not fly on by itself."""
         self.release()
@@ -96,6 +103,7 @@ class Console(Gamepad):
         self._check_connected()
         with self._lock:
             presses, self._presses = self._presses, set()
+            light_steps, self._light_steps = self._light_steps, 0
             move = self._move if time.monotonic() < self._until_s else None
             waiting = self._pilot and self.by_hand
         if self._pilot and self.may_drive and not waiting and self._robot and self._robot.gate.state == DISARMED:
@@ -108,6 +116,7 @@ class Console(Gamepad):
             own = replace(own, bend_x=move[0], bend_y=move[1], insertion=move[2], dead_man=True)
         return replace(
             own,
+            light_step=own.light_step + light_steps,
             arm=own.arm or "arm" in presses,
             acknowledge=own.acknowledge or "acknowledge" in presses,
             emergency_stop=own.emergency_stop or "emergency_stop" in presses,

@@ -40,7 +40,7 @@ def _painted(coverage: Coverage, overview: Overview) -> Picture:
         x, y = np.rint(at).astype(int).tolist()
         cv2.circle(picture, (x, y), 4, _INK[verdict.verdict], -1, cv2.LINE_AA)
         for ink, thick in (((255, 255, 255), 3), (_INK[verdict.verdict], 1)):
-            cv2.putText(picture, verdict.calyx, (x + 6, y - 5), _TEXT, 0.45, ink, thick, cv2.LINE_AA)
+            cv2.putText(picture, verdict.calyx, (x + 4, y - 4), _TEXT, 0.4, ink, thick, cv2.LINE_AA)
     return np.asarray(picture, np.uint8)
 
 

@@ -41,6 +41,10 @@ class RobotControls:
                 on_choice(self._flying, console.give_to_pilot)
             for move, key in KEYS.items():
                 _add_move(gui, console, move, key)
+            on_press(gui.add_button("Brighter", hint="A stop can put the light out; this brings it back."))(
+                lambda: console.brighten(1)
+            )
+            on_press(gui.add_button("Darker"))(lambda: console.brighten(-1))
 
     def show(self, state: NavigationState) -> None:
         """Say how the robot stands, and who flies."""

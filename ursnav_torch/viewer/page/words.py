@@ -15,21 +15,21 @@ from ursnav_torch.viewer.page.scene import VERDICTS
 
 
 def status_html(status: str) -> str:
-    """The status line, large."""
+    """The status line, large; it has room for eight lines, so that no button below moves while it changes."""
     return (
         '<div class="ursnav-status" role="status" style="font-size:1.15em;font-weight:600;line-height:1.3;'
-        f'padding:.5em .8em">{html.escape(status)}</div>'
+        f'min-height:11.4em;padding:.5em .8em">{html.escape(status)}</div>'
     )
 
 
 def confidence_html(state: NavigationState) -> str:
     """The confidence in words and as a bar."""
     if state.T_kidney_camera is None:
-        return '<div class="ursnav-confidence" style="padding:0 .8em">no place known</div>'
+        return '<div class="ursnav-confidence" style="min-height:2em;padding:0 .8em">no place known</div>'
     share = max(0.0, min(1.0, state.confidence))
     color = _css(VERDICTS["inspected" if share >= 0.9 else "glimpsed" if share >= 0.6 else "unseen"])
     return (
-        f'<div class="ursnav-confidence" style="padding:0 .8em">{confidence_words(share)} ({share:.0%})'
+        f'<div class="ursnav-confidence" style="min-height:2em;padding:0 .8em">{confidence_words(share)} ({share:.0%})'
         f'<div style="height:6px;background:#ddd;border-radius:3px"><div style="height:6px;border-radius:3px;'
         f'width:{share:.0%};background:{color}"></div></div></div>'
     )
@@ -38,7 +38,8 @@ def confidence_html(state: NavigationState) -> str:
 def robot_html(state: NavigationState) -> str:
     """How the robot stands, and the last thing that went wrong."""
     notice = f'<div style="color:#a33">{html.escape(state.notice)}</div>' if state.notice else ""
-    return f'<div class="ursnav-robot" style="padding:0 .8em">robot: {state.robot or "not heard of yet"}{notice}</div>'
+    stands = state.robot or "not heard of yet"
+    return f'<div class="ursnav-robot" style="min-height:3.2em;padding:0 .8em">robot: {stands}{notice}</div>'
 
 
 def picture_html(picture: NDArray[np.uint8], caption: str, kind: str) -> str:
