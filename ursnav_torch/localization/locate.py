@@ -22,6 +22,9 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
+#: A refined pose that observes another calyx than the views vote for must fit by so much better to be believed.
+CONTRADICTION = 0.1
+
 
 class Localizer:
     """Locates pictures in one VID.
@@ -103,7 +106,7 @@ class Localizer:
         refined = self._refiner.refine(features, [self._mean(poses, ranking.distance, i) for i in rows])
         calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
-        if refined.score < self.settings.believe_refined:
+        if refined.score < self.settings.believe_refined + (CONTRADICTION if calyx != seen.calyx else 0.0):
             return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, numbers, None)
         return Judgement(ranking, poses, calyces, calyx, seen.calyx, numbers, refined)
 
