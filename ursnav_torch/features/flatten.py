@@ -1,4 +1,4 @@
-"""Pictures made comparable: stripes out, then the logarithm divided by its own surroundings.
+"""Pictures made comparable: stripes out, then the logarithm less its own surroundings.
 
 What is left is the wall's relief, whatever the exposure, the light's place and the lens's vignette were.
 """
