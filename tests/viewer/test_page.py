@@ -5,6 +5,9 @@ import re
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -15,12 +18,12 @@ from ursnav_torch.hardware import Frame, Stamp
 from ursnav_torch.kidney import read_calyces
 from ursnav_torch.localization.coverage import INSPECTED, CalyxCoverage
 from ursnav_torch.localization.track import Tracker
-from ursnav_torch.navigation import NavigationState, Navigator, hold_navigation
+from ursnav_torch.navigation import Desk, NavigationState, Navigator, hold_navigation
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.session import Recorder, Replay
 from ursnav_torch.vid import PlanSettings, read_views
 from ursnav_torch.viewer.collected import FLIGHT, Collection, fly, pick_wall
-from ursnav_torch.viewer.page import ExplorePage, LivePage, Pictures, check_address, web_page
+from ursnav_torch.viewer.page import ExplorePage, KidneyScene, LivePage, Pictures, check_address, web_page
 from ursnav_torch.viewer.page.words import confidence_html, coverage_html, picture_html, status_html
 from ursnav_torch.viewer.session_report import session_figures, write_session_report
 
@@ -213,6 +216,45 @@ def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, ph
     page.desk.player.stop()
     thread.join(timeout=20)
     assert done and done[0].located == 60
+
+
+def test_on_a_slow_machine_the_scene_waits(vid, phantom_lumen, monkeypatch):
+    """Without a graphics card every change of it takes a core for a while, and the words must keep coming."""
+    page = LivePage(Desk(Navigator(Tracker(vid, phantom_lumen)), None, None, lambda: None), port=0)
+    try:
+        clock = [1000.0]
+        monkeypatch.setattr("ursnav_torch.viewer.page.live.time", SimpleNamespace(monotonic=lambda: clock[0]))
+        changes = {}
+        for effort in (0, 2):
+            page._scene, start = Mock(), clock[0]
+            while clock[0] < start + 30:
+                page._show_pictures(NavigationState(effort=effort))
+                clock[0] += 0.1
+            changes[effort] = page._scene.show_camera.call_count
+        assert changes[0] == pytest.approx(100, abs=3) and changes[2] == pytest.approx(20, abs=2)
+    finally:
+        page.close()
+
+
+def test_a_camera_that_stays_is_not_sent_again(vid):
+    server = Mock()
+    scene = KidneyScene(server, vid.kidney, lambda name: None)
+    T = vid.T_kidney_camera[3]
+    scene.show_camera(T)
+    scene._camera.position = None
+    scene.show_camera(T)
+    assert scene._camera.position is None
+    scene.show_camera(vid.T_kidney_camera[4])
+    assert np.array_equal(scene._camera.position, vid.T_kidney_camera[4][:3, 3])
+    scene.show_camera(None)
+    assert scene._camera.visible is False
+
+
+def test_views_of_a_vid_stored_without_pictures_are_drawn_again(vid, renderer, tmp_path):
+    bare = Pictures(replace(vid, folder=tmp_path))
+    drawn, stored = bare.view(3).astype(float), Pictures(vid).view(3)
+    stored = cv2.resize(stored, drawn.shape[1::-1], interpolation=cv2.INTER_AREA).astype(float)
+    assert np.corrcoef(drawn.ravel(), stored.ravel())[0, 1] > 0.97
 
 
 def test_exploring_without_a_place_to_save_says_so(vid, tmp_path):

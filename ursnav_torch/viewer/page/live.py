@@ -18,7 +18,7 @@ from ursnav_torch.viewer.page.words import confidence_html, coverage_html, laten
 logger = logging.getLogger(__name__)
 
 #: Looks at the state a second.
-UPDATES_HZ = 8.0
+UPDATES_HZ = 10.0
 #: Seconds between pictures beside the kidney.
 PICTURE_S = 0.2
 #: Seconds between changes of the scene, of the picture in it, and of wall and ways. The browser draws on for a quarter
