@@ -94,9 +94,16 @@ class Aligner:
         rays, self._inside = grid.camera.pixel_rays()
         self._rays = rays[self._inside].astype(np.float32)
 
-    def align(self, picture: Fields, T_kidney_camera: Array, light: Array = AT_CAMERA, iterations: int = 8) -> Aligned:
+    def align(
+        self,
+        picture: Fields,
+        T_kidney_camera: Array,
+        light: Array = AT_CAMERA,
+        iterations: int = 8,
+        light_known: bool = False,
+    ) -> Aligned:
         """The pose near ``T_kidney_camera`` (4, 4) from which the drawing lies best on a picture."""
-        drawing = self.draw(T_kidney_camera, light)
+        drawing = self.draw(T_kidney_camera, light, light_known)
         state = best = _State(np.eye(4), np.zeros(len(light)))
         best_score, taken = -1.0, 0
         while True:
@@ -109,14 +116,14 @@ class Aligner:
         T = T_kidney_camera @ inverse(best.T_picture_drawing)
         return Aligned(T, within_limits(light + best.light), best_score, taken)
 
-    def draw(self, T_kidney_camera: Array, light: Array) -> Drawing:
+    def draw(self, T_kidney_camera: Array, light: Array, light_known: bool = False) -> Drawing:
         """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
         grid, R = self.grid, T_kidney_camera[:3, :3].astype(np.float32)
         depth, normals = self._scene.cast(T_kidney_camera[:3, 3], self._rays @ R.T)
         hit = np.isfinite(depth)
         distance = np.full(self._inside.shape, np.inf, np.float32)
         distance[self._inside] = depth
-        lights = np.concatenate([light[None], light + np.diag(STEP)])
+        lights = light[None] if light_known else np.concatenate([light[None], light + np.diag(STEP)])
         gray = np.zeros((*self._inside.shape, len(lights)), np.float32)
         gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
         value, slope = grid.of_drawings(gray)
@@ -125,7 +132,7 @@ class Aligner:
         distance[~seen] = 1.0
         motion = grid.motion.copy()
         motion[:3] /= distance
-        lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[:, None, None]
+        lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[: len(value) - 1, None, None]
         return Drawing(grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
 
     def _step(self, picture: Fields, drawing: Drawing, state: _State, light: Array) -> tuple[float, Array | None]:
@@ -138,7 +145,9 @@ class Aligner:
         if count < LEAST_PIXELS:
             return -1.0, None
         seen, seen_size = _standard(value, good)
-        drawn = drawing.value + np.tensordot(state.light.astype(np.float32), drawing.lit, 1)
+        drawn = drawing.value
+        if len(drawing.lit):
+            drawn = drawn + np.tensordot(state.light.astype(np.float32), drawing.lit, 1)
         drawn, drawn_size = _standard(drawn, good)
         correlation = (seen * drawn) @ good / count
         gain = np.maximum(correlation, _LEAST_GAIN)[:, None].astype(np.float32)
@@ -150,10 +159,14 @@ class Aligner:
         jacobian = jacobian.reshape(len(jacobian), -1)
         weighted = jacobian * weight.reshape(-1)
         normal, slant = (weighted @ jacobian.T).astype(float), (weighted @ residual.reshape(-1)).astype(float)
-        prior = np.concatenate([np.zeros(6), _LIGHT_PRIOR * count / SPREAD**2])
-        normal += np.diag(_DAMPING * np.diag(normal) + prior + 1e-9)
-        slant[6:] += prior[6:] * (light + state.light - AT_CAMERA)
-        return float(correlation.mean()), self._limited(-np.linalg.solve(normal, slant))
+        normal += np.diag(_DAMPING * np.diag(normal) + 1e-9)
+        if len(drawing.lit):
+            prior = _LIGHT_PRIOR * count / SPREAD**2
+            normal[np.arange(6, 11), np.arange(6, 11)] += prior
+            slant[6:] += prior * (light + state.light - AT_CAMERA)
+        step = np.zeros(6 + len(light))
+        step[: len(slant)] = -np.linalg.solve(normal, slant)
+        return float(correlation.mean()), self._limited(step)
 
     def _limited(self, step: Array) -> Array:
         """A step shortened to what one linearization can be trusted with."""

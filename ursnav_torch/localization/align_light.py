@@ -24,6 +24,38 @@ MOST: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.1])
 _LOW: Array = np.array([-4.0, -4.0, -4.0, 1.0, 0.0])
 _HIGH: Array = np.array([4.0, 4.0, 4.0, 10.0, 0.4])
 _DEFAULT = HeadLight()
+_TELLING = 0.7  # alignments of this score tell the light
+_ENOUGH, _KEPT = 5, 15  # so many make it known, and so many of the last are kept
+_AGAIN = 4  # after so many more it is looked for again
+
+
+class Light:
+    """The light of one scope, learned from pictures that are aligned well, and then held.
+
+    It must not be learned from pictures that show little: there it bends until a wrong pose fits as well as the true
+    one, and a track that slips takes the light along.
+
+    Attributes:
+        value: (5,), see `AT_CAMERA`: the median of what was found; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self._found: list[Array] = []
+        self._since = 0
+        self.value: Array | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether the next picture is to be aligned under this light; now and then it is looked for again."""
+        return len(self._found) >= _ENOUGH and self._since < _AGAIN
+
+    def learn(self, light: Array, score: float) -> None:
+        """Take in the light (5,) that a picture was aligned with, and how well it was."""
+        if self.known:
+            self._since += score >= _TELLING
+        elif score >= _TELLING:
+            self._found = [*self._found[1 - _KEPT :], light]
+            self.value, self._since = np.median(self._found, axis=0), 0
 
 
 def within_limits(light: Array) -> Array:

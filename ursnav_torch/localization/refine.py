@@ -98,13 +98,20 @@ class Refiner:
             for size in (self.settings.coarse_px, self.settings.fine_px)
         ]
 
-    def refine(self, features: Features, candidates: Sequence[Array], light: Array | None = None) -> Refined:
+    def refine(
+        self,
+        features: Features,
+        candidates: Sequence[Array],
+        light: Array | None = None,
+        light_known: bool = False,
+    ) -> Refined:
         """The best pose near one of the candidates.
 
         Args:
             features: of the picture.
             candidates: T_kidney_camera (4, 4) each, best first.
             light: where the light was found before, if it was.
+            light_known: keep to that light.
 
         Raises:
             InputError: no candidate, or one that is no rigid transform.
@@ -120,15 +127,15 @@ class Refiner:
             with torch.inference_mode():
                 picture = aligner.grid.of_picture(features.fields[0])
             for _ in range(rounds):
-                states = [(i, self._once(aligner, picture, state)) for i, state in states]
+                states = [(i, self._once(aligner, picture, state, light_known)) for i, state in states]
                 taken += sum(state.iterations for _, state in states)
                 states = _better_half(states)
         i, best = states[0]
         return Refined(best.T_kidney_camera, best.score, i, taken, best.light)
 
-    def _once(self, aligner: Aligner, picture: Fields, old: Aligned) -> Aligned:
+    def _once(self, aligner: Aligner, picture: Fields, old: Aligned, light_known: bool) -> Aligned:
         """One alignment, held back on its way as far as the wall demands."""
-        new = aligner.align(picture, old.T_kidney_camera, old.light, self.settings.iterations)
+        new = aligner.align(picture, old.T_kidney_camera, old.light, self.settings.iterations, light_known)
         return replace(new, T_kidney_camera=self._kept_inside(new.T_kidney_camera, old.T_kidney_camera))
 
     def _kept_inside(self, T_new: Array, T_old: Array) -> Array:

@@ -17,6 +17,7 @@ from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import inverse, rotation_angle, transform_from
 from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.localization.align_light import Light
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings
 from ursnav_torch.localization.refine import Refined, RefinementSettings, Refiner
 from ursnav_torch.localization.smooth import PoseFilter, SmoothSettings
@@ -123,7 +124,7 @@ class Tracker:
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
         self._seen_s, self._trust, self._state = 0.0, 0.0, SEARCHING
-        self._light: Array | None = None
+        self._light = Light()
         self._own: _Lead | None = None
         self._rival: _Lead | None = None
         self._good: Array | None = None  # last pose that was not shaky
@@ -163,15 +164,15 @@ class Tracker:
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
         s, passed = self.settings, self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
-        found, fit = self._search.weigh(features, self._before, passed, sensor)
+        found, fits = self._search.weigh(features, self._before, passed, sensor)
+        fit = float(fits[found.weight.argmax()])
         T, _ = place(found, s, self.vid.kidney.scale)
-        refined = self._decide(features, T, found, sensor)
-        if refined.score > s.well_aligned:
-            self._light = refined.light if self._light is None else 0.8 * self._light + 0.2 * refined.light
+        refined = self._decide(features, T, found, fits, sensor)
+        self._light.learn(refined.light, refined.score)
         if refined.score >= s.shaky:
             self._good = refined.T_kidney_camera
         self._remember(found, refined.T_kidney_camera, t_s)
-        self._judge(refined, passed, sensor)
+        self._judge(refined, found, passed, sensor)
         if self._state != TRACKING:
             self._smooth.reset()
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
@@ -181,41 +182,60 @@ class Tracker:
         confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._trust))
         return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
 
-    def _decide(self, features: Features, T: Array, found: Hypotheses, sensor: SensorReading | None) -> Refined:
-        """Follow the track at hand; where the filter holds another place more probable, follow that beside it, and go
-        over to it once it has been the better aligned of the two for some pictures."""
-        if self._own is None or self._state != TRACKING or self._own.refined.score < self.settings.shaky:
+    def _decide(
+        self, features: Features, T: Array, found: Hypotheses, fits: Array, sensor: SensorReading | None
+    ) -> Refined:
+        """Follow the track at hand; where the filter holds another place more probable, or the track is aligned badly
+        and another place fits, follow that beside it, and go over to it once it has been the better aligned."""
+        s = self.settings
+        if self._own is None or self._state != TRACKING or self._own.refined.score < s.shaky:
             known = [] if self._own is None else [self._own.refined.T_kidney_camera]
             known += [] if self._good is None else [self._good]
-            tried = self._apart([*known, T], found)
-            before, self._own = self._own, _Lead(self._aligned(features, tried))
-            if before is not None and not self._near(before.refined.T_kidney_camera, self._own.refined.T_kidney_camera):
-                self._trust = min(self._trust, self.settings.believe - 1.0)
+            known += [] if self._rival is None else [self._rival.refined.T_kidney_camera]
+            tried = self._apart([*known, T], found, found.weight)
+            self._own = _Lead(self._aligned(features, tried))
             self._rival, self._doubt = None, 0.0
             return self._own.refined
         agrees = self._near(T, self._own.refined.T_kidney_camera)
-        self._own = _Lead(
-            self._aligned(features, self._around(self._own, T, found)[: self._around_tries]), self._own.refined
-        )
-        if agrees or self._near(T, self._own.refined.T_kidney_camera):
-            self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
-            return self._own.refined
-        if self._rival is not None and self._near(T, self._rival.refined.T_kidney_camera):
-            self._rival = _Lead(self._aligned(features, [*self._rival.ahead(), T]), self._rival.refined)
+        around = self._around(self._own, T, found)[: self._around_tries]
+        self._own = _Lead(self._aligned(features, around), self._own.refined)
+        here = self._own.refined
+        if not agrees and not self._near(T, here.T_kidney_camera):
+            elsewhere = [T]
+        elif here.score < s.unsure:
+            elsewhere = self._apart([here.T_kidney_camera], found, fits)[1:2]
         else:
-            self._rival, self._doubt = _Lead(self._aligned(features, self._apart([T], found)[:2])), 0.0
-        gain = (self._rival.refined.score - self._own.refined.score) / self.settings.better_by
+            elsewhere = []
+        self._compare(features, elsewhere, sensor)
+        return self._own.refined
+
+    def _compare(self, features: Features, elsewhere: list[Array], sensor: SensorReading | None) -> None:
+        """Align other places and the rival's; go over to the best of them once it has been better than the track."""
+        s, before = self.settings, self._rival
+        assert self._own is not None
+        tried = elsewhere if before is None else [*before.ahead(), *elsewhere]
+        if not tried:
+            self._doubt = max(self._doubt - 1.0, 0.0)
+            return
+        found = self._aligned(features, tried)
+        if self._near(found.T_kidney_camera, self._own.refined.T_kidney_camera):
+            self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
+            return
+        same = before is not None and self._near(found.T_kidney_camera, before.refined.T_kidney_camera)
+        self._rival = _Lead(found, before.refined if before is not None and same else None)
+        gain = (found.score - self._own.refined.score) / s.better_by
         if sensor is not None:
             own, rival = (sensor.off(lead.refined.T_kidney_camera[None])[0] for lead in (self._own, self._rival))
             gain += float(np.clip(own - rival, -1.0, 1.0))
-        self._doubt = max(self._doubt + float(np.clip(gain, -1.0, 1.0)), 0.0)
-        if self._doubt >= self.settings.convinced:
+        self._doubt = max((self._doubt if same else 0.0) + float(np.clip(gain, -1.0, s.most_gain)), 0.0)
+        if self._doubt >= s.convinced:
             self._own, self._rival, self._doubt = self._rival, None, 0.0
-        return self._own.refined
+        elif gain < 0 and self._doubt == 0.0:
+            self._rival = None
 
-    def _apart(self, tried: list[Array], found: Hypotheses) -> list[Array]:
-        """The poses given and the most probable hypotheses that lie apart from them and each other."""
-        for pose in found.T_kidney_camera[np.argsort(-found.weight)]:
+    def _apart(self, tried: list[Array], found: Hypotheses, worth: Array) -> list[Array]:
+        """The poses given and the hypotheses of most worth (M,) that lie apart from them and each other."""
+        for pose in found.T_kidney_camera[np.argsort(-worth)]:
             if len(tried) < self.settings.tries and not any(self._near(pose, t) for t in tried):
                 tried.append(pose)
         return tried
@@ -239,7 +259,7 @@ class Tracker:
         return tried
 
     def _aligned(self, features: Features, candidates: list[Array]) -> Refined:
-        return self._refiner.refine(features, candidates, self._light)
+        return self._refiner.refine(features, candidates, self._light.value, self._light.known)
 
     def _near(self, T_a: Array, T_b: Array) -> bool:
         """Whether two poses are one place."""
@@ -254,13 +274,14 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _judge(self, refined: Refined, seconds: float, sensor: SensorReading | None) -> None:
+    def _judge(self, refined: Refined, found: Hypotheses, seconds: float, sensor: SensorReading | None) -> None:
         """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945)."""
         s = self.settings
-        odds = s.own_kidney[0] + s.own_kidney[1] * refined.score
+        agree = float(found.weight[[self._near(refined.T_kidney_camera, T) for T in found.T_kidney_camera]].sum())
+        odds = s.own_kidney[0] + s.own_kidney[1] * refined.score + s.own_kidney[2] * agree
         if sensor is not None:
             odds += float(np.clip(s.own_sensor - sensor.off(refined.T_kidney_camera[None])[0], -s.most, s.most))
-        gain = float(np.clip(odds, -s.most, s.most)) * min(seconds, 4 * s.usual_s) / s.usual_s
+        gain = float(np.clip(odds, -s.most, s.most_gain)) * min(seconds, 4 * s.usual_s) / s.usual_s
         self._trust = float(np.clip(self._trust + gain, -s.debt, s.credit))
         if self._trust <= -s.give_up:
             self._state = LOST

@@ -35,18 +35,20 @@ class TrackSettings:
         tries: poses that the track is tried to go on from.
         slide_mm: step in depth that is tried; other poses tried are half as far apart at least.
         shaky: after an alignment that scores less, the track is looked for anew among all hypotheses.
+        unsure: while alignments score less, a place that fits well is aligned beside the track.
         better_by: another place whose alignment scores better by this is preferred a full step.
+        most_gain: a single picture counts for no more steps than this.
         convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
         usual_s: time between pictures that the next numbers are stated for.
-        own_kidney: intercept and weight of the alignment's score in the log-odds that a picture shows the VID's kidney
-            and not another; provisional: set by hand from a few phantoms and kidneys, not learned from the VID.
+        own_kidney: intercept, and weights of the alignment's score and of the share of the hypotheses that agree with
+            its pose, in the log-odds that a picture shows the VID's kidney and not another: logistic regression over
+            two phantoms and two kidneys, each in its own and in another's VID, rounded; not learned from the VID.
         own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney.
-        most: a single picture counts for no more than this.
+        most: a single picture speaks against this kidney no more than this, and for it no more than ``most_gain``.
         believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given
             up.
         debt, credit: the sum stays between minus the one and the other: a long good track outlasts a bad stretch.
-        well_aligned: alignments of this score tell where the scope's light is.
     """
 
     relief_weight: float = 1.0
@@ -54,26 +56,27 @@ class TrackSettings:
     fit_width: float = 0.15
     tilt_step_deg: float = 5.0
     tilt_rounds: int = 2
-    hypotheses: int = 48
-    newcomers: int = 12
+    hypotheses: int = 72
+    newcomers: int = 36
     near_mm: float = NEAR_MM
     near_deg: float = NEAR_DEG
     own_share: float = 0.5
     tries: int = 5
     slide_mm: float = 2.0
-    shaky: float = 0.45
+    shaky: float = 0.35
+    unsure: float = 0.65
     better_by: float = 0.1
+    most_gain: float = 2.0
     convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
-    own_kidney: tuple[float, float] = (-5.4, 10.0)
+    own_kidney: tuple[float, float, float] = (-9.0, 13.0, 3.0)
     own_sensor: float = 2.0
     most: float = 1.0
     believe: float = 2.0
     give_up: float = 4.0
-    debt: float = 8.0
+    debt: float = 6.0
     credit: float = 20.0
-    well_aligned: float = 0.5
 
     def __post_init__(self) -> None:
         if not 0 < self.newcomers < self.hypotheses or self.fit_width <= 0:
@@ -126,8 +129,8 @@ class PlaceSearch:
 
     def weigh(
         self, features: Features, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
-    ) -> tuple[Hypotheses, float]:
-        """The hypotheses after a picture, some seconds after those before, and how well the best of them fits."""
+    ) -> tuple[Hypotheses, Array]:
+        """The hypotheses after a picture, some seconds after those before, and how well each of them fits (M,)."""
         s = self.settings
         straight = self._scan.scan(features.maps[None])
         T = self._T @ _rolled(straight.roll, np.eye(3))
@@ -138,7 +141,7 @@ class PlaceSearch:
         to_tips, score = self._to_tips[views], tilted.score.numpy().astype(float)
         log = self._prior(T, to_tips, before, seconds, sensor) + score / s.fit_width
         weight = np.exp(log - log.max())
-        return Hypotheses(T, to_tips, weight / weight.sum()), float(score[log.argmax()])
+        return Hypotheses(T, to_tips, weight / weight.sum()), score
 
     def _worth_trying(self, log: Array, score: Array) -> NDArray[np.int64]:
         """The most probable views, and those that fit best wherever they are."""
