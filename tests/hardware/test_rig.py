@@ -119,6 +119,27 @@ def test_stop_button_dead_man_and_acknowledgment_work_through_the_control_cycle(
         assert not cycle(arm=True, **push).sent.is_zero
 
 
+def test_light_that_a_stop_put_out_comes_back_as_it_was_with_the_acknowledgment():
+    hands = Hands()
+    with make_rig(SimulatedGrblRobot, hands=hands) as rig:
+        control = Control(rig.robot, hands, rig.light)
+
+        def cycle(**now):
+            hands.now = now
+            control.step()
+
+        def brightness():
+            return rig.camera.read().image.mean()
+
+        cycle(light_step=-1)
+        time.sleep(0.2)
+        lit = brightness()
+        cycle(emergency_stop=True)
+        assert wait_until(lambda: brightness() < 0.5 * lit, 0.5)
+        cycle(acknowledge=True)
+        assert wait_until(lambda: brightness() == pytest.approx(lit, rel=0.05), 0.5)
+
+
 def test_a_fault_of_the_robot_is_a_note_and_one_of_the_gamepad_disarms():
     hands = Hands()
     with make_rig(hands=hands) as rig:

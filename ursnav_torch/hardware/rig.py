@@ -24,6 +24,7 @@ from ursnav_torch.hardware.base import (
     Tracker,
 )
 from ursnav_torch.hardware.robot import Robot
+from ursnav_torch.hardware.safety import STOPPED
 from ursnav_torch.hardware.twin import Twin
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import Renderer
@@ -207,18 +208,27 @@ class Control:
     def _drive(self, hands: OperatorInput) -> list[Any]:
         if self.robot is None:
             return []
+        events: list[Any] = []
         if hands.emergency_stop:
             self.robot.emergency_stop("operator")
         elif hands.acknowledge:
-            self.robot.acknowledge()
+            events += self._acknowledge(self.robot)
         elif hands.arm:
             self.robot.arm()
         bend, push = self.robot.limits.max_bend_rate_rad_s, self.robot.limits.max_insertion_rate_mm_s
         wanted = JointRates(hands.bend_x * bend, hands.bend_y * bend, hands.insertion * push)
-        events: list[Any] = [self.robot.command(wanted, hands.dead_man)]
+        events.append(self.robot.command(wanted, hands.dead_man))
         if self._cycle % 5 == 0:
             events.append(self.robot.read())
         return events
+
+    def _acknowledge(self, robot: Robot) -> list[Any]:
+        """End a stop; the light, which a controller puts out with the motors, comes back as it was."""
+        stopped = robot.gate.state == STOPPED
+        robot.acknowledge()
+        if self.light is None or not stopped or robot.gate.state == STOPPED:
+            return []
+        return [self.light.set_level(self._level)]
 
     def _light(self, hands: OperatorInput) -> list[Any]:
         if self.light is None or (hands.light_step == 0 and self._cycle > 1):

@@ -111,7 +111,7 @@ def _calyx_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings, c
             raise InputError(
                 f"Calyx {kidney.calyces[calyx].name} has room for only {count} of {settings.views_per_calyx} views: "
                 f"its lumen is too narrow for a scope of radius {settings.scope_radius_mm} mm, or another calyx's tip "
-                "lies in every line of sight. Lower vid.scope_radius_mm, or take that row out of the calyces file."
+                "lies in every line of sight. Lower views.scope_radius_mm, or take that row out of the calyces file."
             )
     return np.concatenate(found)[: settings.views_per_calyx]
 

@@ -18,7 +18,8 @@ _TEXT = cv2.FONT_HERSHEY_SIMPLEX
 
 def draw_coverage(coverage: Coverage, side_px: int = 480) -> Picture:
     """Front and side of the kidney (S + legend, 2 S, 3): seen wall green, wall to be seen red, out of reach gray."""
-    views = [_painted(coverage, draw_overview(coverage.kidney, side_px, from_side)) for from_side in (False, True)]
+    bare = [draw_overview(coverage.kidney, side_px, from_side, names=False) for from_side in (False, True)]
+    views = [_painted(coverage, overview) for overview in bare]
     return np.asarray(np.concatenate([np.concatenate(views, axis=1), _legend(coverage, 2 * side_px)]), np.uint8)
 
 

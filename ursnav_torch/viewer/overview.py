@@ -62,13 +62,13 @@ class Overview:
         return np.rint(self.project(apply(T_kidney_camera, points_camera))).astype(np.int32)
 
 
-def draw_overview(kidney: Kidney, side_px: int = 360, from_side: bool = False) -> Overview:
-    """A kidney seen across its flattest direction, or from the side; its calyces are named at their tips."""
+def draw_overview(kidney: Kidney, side_px: int = 360, from_side: bool = False, names: bool = True) -> Overview:
+    """A kidney seen across its flattest direction, or from the side; its calyces are named at their tips if asked."""
     T = standpoint(kidney.mesh, from_side)
     extent = np.abs(apply(T, kidney.mesh.vertices)[:, :2]).max()
     overview = Overview(np.full((side_px, side_px, 3), 255, np.uint8), T, 0.46 * side_px / float(extent))
     picture = _translucent(kidney.mesh, overview)
-    for calyx, at in zip(kidney.calyces, overview.project(kidney.tips_mm), strict=True):
+    for calyx, at in zip(kidney.calyces, overview.project(kidney.tips_mm), strict=True) if names else ():
         x, y = np.rint(at).astype(int).tolist()
         cv2.circle(picture, (x, y), 2, _INK, -1, cv2.LINE_AA)
         cv2.putText(picture, calyx.name, (x + 4, y - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _INK, 1, cv2.LINE_AA)
