@@ -26,6 +26,7 @@ _DAMPING = 1e-3
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
 _LEAST_GAIN = 0.2
+_PROGRESS, _PATIENCE = 1e-3, 2  # an alignment ends after so many steps whose score is not better by this
 _CONVERGED = np.array([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3])  # mm and radians
 
 
@@ -105,12 +106,13 @@ class Aligner:
         """The pose near ``T_kidney_camera`` (4, 4) from which the drawing lies best on a picture."""
         drawing = self.draw(T_kidney_camera, light, light_known)
         state = best = _State(np.eye(4), np.zeros(len(light)))
-        best_score, taken = -1.0, 0
+        best_score, taken, stalled = -1.0, 0, 0
         while True:
             score, step = self._step(picture, drawing, state, light)
+            stalled = 0 if score > best_score + _PROGRESS else stalled + 1
             if score > best_score:
                 best, best_score = state, score
-            if step is None or taken == iterations or np.all(np.abs(step[:6]) < _CONVERGED):
+            if step is None or taken == iterations or stalled == _PATIENCE or np.all(np.abs(step[:6]) < _CONVERGED):
                 break
             state, taken = state.moved(step), taken + 1
         T = T_kidney_camera @ inverse(best.T_picture_drawing)

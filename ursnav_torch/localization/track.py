@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import Features
-from ursnav_torch.geometry import inverse, rotation_angle, transform_from
+from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.align_light import Light
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings
@@ -27,6 +27,7 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
+_NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ class Tracker:
         self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
         self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
         self._refiner = Refiner(
-            vid, refinement or RefinementSettings(self.settings.tries, iterations=6, fine_rounds=1), self.lumen
+            vid, refinement or RefinementSettings(self.settings.tries + 3, iterations=6, fine_rounds=1), self.lumen
         )
         self._full_refinement, self._around_tries = self._refiner.settings, self.settings.tries
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
@@ -192,7 +193,8 @@ class Tracker:
             known = [] if self._own is None else [self._own.refined.T_kidney_camera]
             known += [] if self._good is None else [self._good]
             known += [] if self._rival is None else [self._rival.refined.T_kidney_camera]
-            tried = self._apart([*known, T], found, found.weight)
+            tried = self._apart([*known, T], found, fits, s.tries)
+            tried = self._apart(tried, found, found.weight, s.tries + 3)
             self._own = _Lead(self._aligned(features, tried))
             self._rival, self._doubt = None, 0.0
             return self._own.refined
@@ -203,7 +205,7 @@ class Tracker:
         if not agrees and not self._near(T, here.T_kidney_camera):
             elsewhere = [T]
         elif here.score < s.unsure:
-            elsewhere = self._apart([here.T_kidney_camera], found, fits)[1:2]
+            elsewhere = self._apart([here.T_kidney_camera], found, fits, 2)[1:]
         else:
             elsewhere = []
         self._compare(features, elsewhere, sensor)
@@ -233,10 +235,11 @@ class Tracker:
         elif gain < 0 and self._doubt == 0.0:
             self._rival = None
 
-    def _apart(self, tried: list[Array], found: Hypotheses, worth: Array) -> list[Array]:
-        """The poses given and the hypotheses of most worth (M,) that lie apart from them and each other."""
+    def _apart(self, tried: list[Array], found: Hypotheses, worth: Array, count: int) -> list[Array]:
+        """The poses given and the hypotheses of most worth (M,) that lie apart from them and each other, ``count``."""
+        tried = list(tried)
         for pose in found.T_kidney_camera[np.argsort(-worth)]:
-            if len(tried) < self.settings.tries and not any(self._near(pose, t) for t in tried):
+            if len(tried) < count and not any(self._near(pose, t) for t in tried):
                 tried.append(pose)
         return tried
 
@@ -263,21 +266,28 @@ class Tracker:
 
     def _near(self, T_a: Array, T_b: Array) -> bool:
         """Whether two poses are one place."""
-        s, apart = self.settings, float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
-        return apart <= s.near_mm * self.vid.kidney.scale and float(rotation_angle(T_a, T_b)) <= np.radians(s.near_deg)
+        return bool(self._near_all(T_a[None], T_b)[0])
+
+    def _near_all(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
+        """Which poses (M, 4, 4) are one place with another."""
+        s, apart = self.settings, np.linalg.norm(T_a[:, :3, 3] - T_b[:3, 3], axis=1)
+        cosine = (np.einsum("mij,ij->m", T_a[:, :3, :3], T_b[:3, :3]) - 1) / 2
+        near = (apart <= s.near_mm * self.vid.kidney.scale) & (cosine >= np.cos(np.radians(s.near_deg)))
+        return np.asarray(near, bool)
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
         own = self.settings.own_share * (1 - min(self._doubt / self.settings.convinced, 1.0))
-        to_tips = np.concatenate([found.to_tips_mm, self.lumen.to_calyces(T[None, :3, 3])])
-        weight = np.append((1 - own) * found.weight, own)
-        self._before = Hypotheses(np.concatenate([found.T_kidney_camera, T[None]]), to_tips, weight)
+        kept = found.weight > _NEGLIGIBLE
+        to_tips = np.concatenate([found.to_tips_mm[kept], self.lumen.to_calyces(T[None, :3, 3])])
+        weight = np.append((1 - own) * found.weight[kept], own)
+        self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
     def _judge(self, refined: Refined, found: Hypotheses, seconds: float, sensor: SensorReading | None) -> None:
         """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945)."""
         s = self.settings
-        agree = float(found.weight[[self._near(refined.T_kidney_camera, T) for T in found.T_kidney_camera]].sum())
+        agree = float(found.weight[self._near_all(found.T_kidney_camera, refined.T_kidney_camera)].sum())
         odds = s.own_kidney[0] + s.own_kidney[1] * refined.score + s.own_kidney[2] * agree
         if sensor is not None:
             odds += float(np.clip(s.own_sensor - sensor.off(refined.T_kidney_camera[None])[0], -s.most, s.most))
