@@ -2,7 +2,9 @@
 
 import csv
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +12,17 @@ import cv2
 import numpy as np
 import pytest
 
+from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.geometry import look_along
+from ursnav_torch.hardware import Camera, Frame
+from ursnav_torch.hardware.base import SourceAtEndError, Stamp
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.localization.track_video import TRACK_COLUMNS, open_source
+from ursnav_torch.localization.track import Tracker
+from ursnav_torch.localization.track_video import TRACK_COLUMNS, Moment, Source, open_source
 from ursnav_torch.registration import Registration
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
+from ursnav_torch.viewer.tracked import camera_source, track_source
 
 Run = Callable[..., Any]
 
@@ -45,6 +52,11 @@ def video(pictures: list[np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
         writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     writer.release()
     return path
+
+
+@contextmanager
+def silent(total: int, what: str) -> Iterator[Callable[[int], None]]:
+    yield lambda n: None
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -136,3 +148,82 @@ def test_times_of_a_video_rise(video: Path) -> None:
     times = [moment.t_s for moment in open_source(video).moments()]
     assert len(times) == 8 and (np.diff(times) > 0).all()
     assert np.diff(times) == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_video_of_variable_rate_keeps_its_own_times(monkeypatch: pytest.MonkeyPatch, video: Path) -> None:
+    class Uneven:
+        """A video whose file gives its frames at 0, 0.1, 0.5 and 0.55 s, and then no times any more."""
+
+        number, stamps = -1, (0.0, 0.1, 0.5, 0.55, 0.0, 0.0, 0.0, 0.0)
+
+        def __init__(self, path: str) -> None:
+            self.inner = plain(path)
+            self.release = self.inner.release
+
+        def read(self) -> Any:
+            self.number += 1
+            return self.inner.read()
+
+        def get(self, what: int) -> float:
+            assert what == cv2.CAP_PROP_POS_MSEC
+            return 1e3 * self.stamps[min(max(self.number, 0), 7)]
+
+    plain = cv2.VideoCapture
+    source = open_source(video)
+    monkeypatch.setattr(cv2, "VideoCapture", Uneven)
+    times = [moment.t_s for moment in source.moments()]
+    assert times[:4] == pytest.approx([0.0, 0.1, 0.5, 0.55])
+    assert np.diff(times[3:]) == pytest.approx(0.1)  # evenly on, at the file's rate
+
+
+def test_a_video_that_says_it_has_frames_and_gives_none_is_refused(tmp_path: Path, video: Path) -> None:
+    path, data = tmp_path / "header.avi", video.read_bytes()
+    path.write_bytes(data[: data.index(b"movi") + 4])  # the header of a video, without its frames
+    with pytest.raises(InputError, match=r"(no frames|not a video) that can be read"):
+        open_source(path)
+
+
+def test_an_interruption_keeps_the_rows_so_far(vid: Vid, folder: Path, tmp_path: Path) -> None:
+    whole = open_source(folder)
+
+    def broken_off() -> Iterator[Moment]:
+        for moment in whole.moments():
+            if moment.frame == 5:
+                raise KeyboardInterrupt
+            yield moment
+
+    def start(out: Path, source: Source) -> tuple[str, bool]:
+        return track_source(Tracker(vid), source, out, None, False, silent)
+
+    summary, finished = start(tmp_path / "a.csv", replace(whole, moments=broken_off))
+    assert not finished and "interrupted after 5 pictures" in summary and "cut short" not in summary
+    assert len(read(tmp_path / "a.csv")) == 5 and (tmp_path / "a.coverage.json").exists()
+    summary, finished = start(tmp_path / "b.csv", replace(whole, moments=broken_off, live=True))
+    assert finished and "interrupted" not in summary
+    assert not list(tmp_path.glob("*.partial"))
+
+
+@pytest.mark.parametrize("breaks", [False, True])
+def test_a_camera_is_closed_at_its_end_and_after_an_error(breaks: bool) -> None:
+    class Three(Camera):
+        """Three pictures, then its end, or a broken wire."""
+
+        left = 3
+
+        def _open(self) -> None: ...
+        def _close(self) -> None: ...
+        def stop(self) -> None: ...
+        def read(self, timeout_s: float = 1.0) -> Frame:
+            self.left -= 1
+            if self.left < 0:
+                raise DeviceTimeoutError("no picture") if breaks else SourceAtEndError("the end")
+            return Frame(Stamp(self.left, 0.0, 0.0), np.zeros((4, 4), np.uint8))
+
+    device = Three()
+    source, seen = camera_source(device, None), 0
+    assert source.live and not device.is_connected
+    with pytest.raises(DeviceTimeoutError) if breaks else nullcontext():
+        for _ in source.moments():
+            seen += 1
+            assert device.is_connected
+    assert seen == 3 and not device.is_connected

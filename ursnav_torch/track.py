@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ursnav_torch._runner import OK, caller_path, progress, runner
+from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 
 @runner("track", paths=("source", "em", "em_to_kidney"))
@@ -28,8 +28,9 @@ def main(config: Any) -> int:
     if config.em is not None:
         to_kidney = None if config.em_to_kidney is None else caller_path(config.em_to_kidney)
         sensor = recorded_readings(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
-    print(track_source(tracker, source, caller_path(config.out), sensor, config.overwrite, progress))
-    return OK
+    summary, whole = track_source(tracker, source, caller_path(config.out), sensor, config.overwrite, progress)
+    print(summary)
+    return OK if whole else NOT_DONE
 
 
 if __name__ == "__main__":

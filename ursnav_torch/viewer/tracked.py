@@ -2,7 +2,8 @@
 
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -34,13 +35,14 @@ _REACH_STRIDE = 4
 
 def track_source(
     tracker: Tracker, source: Source, out: Path, sensor: Sensor | None, overwrite: bool, progress: Progress
-) -> str:
+) -> tuple[str, bool]:
     """Track a source; write the rows to ``out`` and what was seen to ``.coverage.json`` and ``.png`` beside it.
 
-    Rows are written as they come, so memory does not grow with the video.
+    Rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
+    tracked so far.
 
     Returns:
-        The summary, for people to read.
+        The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
 
     Raises:
         InputError: a result stands there already, or the source gives no picture.
@@ -49,17 +51,22 @@ def track_source(
     for path in beside:
         check_output_file(path, overwrite)
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
-    spent, start = list[float](), time.perf_counter()
+    spent, start, interrupted = list[float](), time.perf_counter(), False
     with whole_file(out, overwrite) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
         with progress(source.length, "pictures") as advance:
-            for row, tracked in track_rows(tracker, source, sensor, coverage, advance):
-                writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
-                spent.append(tracked.seconds)
-                states[tracked.state] = states.get(tracked.state, 0) + 1
-                last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
+            try:
+                for row, tracked in track_rows(tracker, source, sensor, coverage, advance):
+                    writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
+                    spent.append(tracked.seconds)
+                    states[tracked.state] = states.get(tracked.state, 0) + 1
+                    last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
+            except KeyboardInterrupt:
+                interrupted = True
+        if interrupted and not states:
+            raise KeyboardInterrupt
         if not states:
             raise InputError(f"{source.what} gave no picture at all.")
     rate = len(spent) / (time.perf_counter() - start)
@@ -67,29 +74,38 @@ def track_source(
     write_json(beside[0], report | {"pictures": states, "ended": ended}, overwrite)
     with whole_file(beside[1], overwrite) as partial:
         partial.write_bytes(cv2.imencode(".png", draw_coverage(coverage))[1].tobytes())
-    return _summary(source, states, ended, coverage, out) + "\n" + _speed(spent, rate)
+    summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)
+    return summary, source.live or not interrupted
 
 
 def camera_source(device: Camera, seconds: float | None) -> Source:
-    """The pictures of a camera, which is connected for it."""
+    """The pictures of a camera, connected with the first and disconnected after the last, or after an error."""
 
     def read() -> NDArray[np.uint8] | None:
-        if not device.is_connected:
-            device.connect()
         try:
             return device.read(5.0).image
         except SourceAtEndError:
             return None
 
-    return live_source(read, seconds)
+    source = live_source(read, seconds)
+
+    def moments() -> Iterator[Moment]:
+        with device:
+            yield from source.moments()
+
+    return replace(source, moments=moments)
 
 
-def _summary(source: Source, states: dict[str, int], ended: str, coverage: Coverage, out: Path) -> str:
+def _summary(
+    source: Source, states: dict[str, int], ended: str, coverage: Coverage, out: Path, interrupted: bool
+) -> str:
     total = sum(states.values())
     lines = [
         f"{total} pictures: {states.get(TRACKING, 0)} tracking, {total - states.get(TRACKING, 0)} not; rows in {out}"
     ]
-    if 0 < source.length != total:
+    if interrupted and not source.live:
+        lines.append(f"interrupted after {total} pictures of {source.what}: the rows so far are kept, and no more.")
+    elif 0 < source.length != total:
         lines.append(
             f"warning: {source.what} says it has {source.length} frames, {total} could be read: it is cut short."
         )
