@@ -109,7 +109,10 @@ def _judge(report: Report, vid: Vid, exploration: Exploration) -> None:
     report.add(group, "rotation", "deg", turned[on].tolist())
     report.add(group, "not tracking", "%", [100 * float(1 - on.mean())], n=len(on))
     report.add(group, "tracking, yet more than 5 mm off", "%", [100 * float((apart[on] > 5).mean())], n=int(on.sum()))
-    report.add(group, "longest time astray", "s", [_longest(~on | (apart > 5)) / 10])
+    astray = [length / 10 for length in _runs(~on | (apart > 5))]
+    report.add(group, "longest time astray", "s", [max(astray, default=0.0)])
+    if astray:
+        report.add(group, "time to find back, or to find the first place", "s", astray)
     pairs = list(zip(coverage.calyces(), truth.calyces(), strict=True))
     same = sum(ours.verdict == theirs.verdict for ours, theirs in pairs)
     wrong = [f"{o.calyx} {o.verdict}, truly {t.verdict}" for o, t in pairs if o.verdict != t.verdict]
@@ -216,13 +219,10 @@ def fly(kidney: Kidney, calyces: range, rng: np.random.Generator, step_mm: float
     return np.array(poses)
 
 
-def _longest(flags: NDArray[np.bool_]) -> int:
-    """Length of the longest run of true flags."""
-    longest = run = 0
-    for flag in flags:
-        run = run + 1 if flag else 0
-        longest = max(longest, run)
-    return longest
+def _runs(flags: NDArray[np.bool_]) -> list[int]:
+    """Lengths of the runs of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    return [int(length) for length in edges[1::2] - edges[::2]]
 
 
 if __name__ == "__main__":
