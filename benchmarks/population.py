@@ -1,8 +1,8 @@
 """Accuracy and confidence over a population of phantoms: ``python -m benchmarks.population``.
 
 Every phantom gets a VID of its own with confidence learned from its own simulated pictures, and is then asked with
-others: 3 pictures a calyx and kind of sensor faults. Arguments, each ``key=value``: ``phantoms=20`` ``pictures=3``
-``views=240`` (a calyx) ``work=DIR`` (keeps each phantom's answers;
+others: 3 pictures a calyx and kind of sensor faults, by the nearest views alone and refined. Arguments, each
+``key=value``: ``phantoms=20`` ``pictures=3`` ``views=240`` (a calyx) ``work=DIR`` (keeps VIDs and answers;
 the same call goes on from there) ``out=FILE.json`` ``compute=local`` (or the address of a Dask scheduler, ``tcp://...``:
 its workers take a phantom each, and ``work`` is a folder that all of them share).
 """
@@ -26,12 +26,13 @@ from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import make_phantom_kidney
-from ursnav_torch.localization import Localizer, learn_confidence, simulated_queries
+from ursnav_torch.localization import LocalizationSettings, Localizer, Query, learn_confidence, simulated_queries
 from ursnav_torch.rendering import HeadLight, RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, none_pictures
 from ursnav_torch.vid import DaskCompute, PlanSettings, Vid, build_vid, load_vid
 
 DEFAULTS = {"phantoms": 20, "pictures": 3, "views": 240, "work": "", "out": "", "compute": "local"}
+NEAREST, REFINED = HOW = ("nearest views", "refined")
 MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
 
 
@@ -47,7 +48,8 @@ def main(arguments: Sequence[str]) -> int:
         for seed in range(settings["phantoms"]):
             answers += phantom_answers(seed, settings, work)
             print(f"phantom {seed + 1} of {settings['phantoms']}", file=sys.stderr)
-    _score(report, answers)
+    for how in HOW:
+        _score(report, how, [a for a in answers if a["how"] == how])
     print(report.table())
     print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
     return 0
@@ -103,55 +105,62 @@ def _ask(vid: Vid, plan: PlanSettings, pictures: int, seed: int) -> list[dict[st
         roll_deg=180.0,
         seed=plan.seed + 77,
     )
-    localizer, rows = Localizer(vid), []
+    localizers = {how: Localizer(vid, settings=LocalizationSettings(refine=how == REFINED)) for how in HOW}
+    rows = []
     for query in simulated_queries(vid, MAKE_RENDERER, alike, rng):
-        row: dict[str, Any] = {"preset": query.preset, "right": False, "confidence": 0.0, "accepted": False}
-        try:
-            found = localizer.locate(query.image)
-        except FeatureError:
-            rows.append(row)
-            continue
-        T = found.T_kidney_camera
-        row |= {
-            "right": found.calyx == query.calyx,
-            "confidence": found.confidence,
-            "accepted": found.accepted,
-            "position_mm": float(np.linalg.norm(T[:3, 3] - query.T_kidney_camera[:3, 3])),
-            "direction_deg": float(np.degrees(angle_between(T[:3, 2], query.T_kidney_camera[:3, 2]))),
-        }
-        rows.append(row)
+        rows += [_row(localizer, query) | {"how": how} for how, localizer in localizers.items()]
     renderer = MAKE_RENDERER(vid.kidney.mesh, vid.camera)
     for image, kind in none_pictures(rng, 6, renderer, vid.T_kidney_camera):
-        try:
-            accepted = localizer.locate(image).accepted
-        except FeatureError:
-            accepted = False
-        rows.append({"preset": "none", "kind": kind, "accepted": accepted})
+        for how, localizer in localizers.items():
+            try:
+                accepted = localizer.locate(image).accepted
+            except FeatureError:
+                accepted = False
+            rows.append({"preset": "none", "kind": kind, "accepted": accepted, "how": how})
     return rows
 
 
-def _score(report: Report, answers: list[dict[str, Any]]) -> None:
+def _row(localizer: Localizer, query: Query) -> dict[str, Any]:
+    """One picture's answer beside the truth."""
+    row: dict[str, Any] = {"preset": query.preset, "right": False, "confidence": 0.0, "accepted": False}
+    try:
+        found = localizer.locate(query.image)
+    except FeatureError:
+        return row
+    T = found.T_kidney_camera
+    return row | {
+        "right": found.calyx == query.calyx,
+        "confidence": found.confidence,
+        "accepted": found.accepted,
+        "position_mm": float(np.linalg.norm(T[:3, 3] - query.T_kidney_camera[:3, 3])),
+        "direction_deg": float(np.degrees(angle_between(T[:3, 2], query.T_kidney_camera[:3, 2]))),
+    }
+
+
+def _score(report: Report, how: str, answers: list[dict[str, Any]]) -> None:
     for preset in PRESETS:
         own = [a for a in answers if a["preset"] == preset]
         right, accepted = sum(a["right"] for a in own), [a for a in own if a["accepted"]]
         low, high = wilson(right, len(own))
         note = f"{right}/{len(own)}, 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
-        report.add("right calyx", preset, "%", [100 * right / len(own)], note, len(own))
-        report.add("position error", preset, "mm", [a["position_mm"] for a in own if "position_mm" in a])
-        report.add("direction error", preset, "°", [a["direction_deg"] for a in own if "direction_deg" in a])
+        report.add(f"{how}: right calyx", preset, "%", [100 * right / len(own)], note, len(own))
+        report.add(f"{how}: position error", preset, "mm", [a["position_mm"] for a in own if "position_mm" in a])
+        report.add(f"{how}: direction error", preset, "°", [a["direction_deg"] for a in own if "direction_deg" in a])
         good = sum(a["right"] for a in accepted)
         note = f"{good}/{len(accepted)} of the accepted, of {len(own)}"
         share = 100 * good / max(len(accepted), 1)
-        report.add("accepted", f"{preset}, accepted", "%", [100 * len(accepted) / len(own)], note, len(own))
-        report.add("accepted", f"{preset}, right of the accepted", "%", [share], note, len(accepted))
+        report.add(f"{how}: accepted", f"{preset}, accepted", "%", [100 * len(accepted) / len(own)], note, len(own))
+        report.add(f"{how}: accepted", f"{preset}, right of the accepted", "%", [share], note, len(accepted))
     asked = [a for a in answers if a["preset"] != "none"]
     confidence, right_ = np.array([a["confidence"] for a in asked]), np.array([a["right"] for a in asked])
     error = calibration_error(confidence, right_)
-    report.add("confidence", "expected calibration error", "of 1", [error], n=len(asked))
-    report.add("confidence", "AUROC against right", "of 1", [auroc(confidence, right_)], n=len(asked))
+    report.add(f"{how}: confidence", "expected calibration error", "of 1", [error], n=len(asked))
+    report.add(f"{how}: confidence", "AUROC against right", "of 1", [auroc(confidence, right_)], n=len(asked))
     none = [a for a in answers if a["preset"] == "none"]
     refused = sum(not a["accepted"] for a in none)
-    report.add("pictures of nothing", "refused", "%", [100 * refused / len(none)], f"{refused}/{len(none)}", len(none))
+    report.add(
+        f"{how}: pictures of nothing", "refused", "%", [100 * refused / len(none)], f"{refused}/{len(none)}", len(none)
+    )
 
 
 if __name__ == "__main__":

@@ -104,7 +104,6 @@ def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, rendere
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="open: two phantoms in clean pictures are alike enough to be believed for a while")
 def test_another_kidney_ends_lost(vid: Vid, lens: Camera, plan: PlanSettings, phantom: Kidney) -> None:
     other = make_phantom_kidney(7, calyces=6)
     renderer, tracker = RaycastRenderer(other.mesh, lens), Tracker(vid)

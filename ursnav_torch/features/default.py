@@ -1,6 +1,6 @@
 """The default features: relief edges and polar maps, the same on virtual and real pictures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -89,12 +89,11 @@ class DefaultExtractor:
         relief = flatten(small, mask, around)
         contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, around)
         grain = local_contrast(small, mask, around) - contrast
-        slopes = [gradient(masked_blur(relief, mask, b * unit)) * mask for b in s.edge_blurs]
-        fields = torch.cat([relief[None], *slopes])
+        fields = self._fields(relief)
         ridge = thin_gradient(relief, s.contour_blur * unit) * self._contour_mask
         edges = self._edges(ridge)
         scale = (self.camera.width / self.working_camera.width, self.camera.height / self.working_camera.height)
-        found = edge_points(edges, gradient(masked_blur(relief, mask, s.contour_blur * unit)), ridge, scale)
+        found = edge_points(edges, self._slope(relief, s.contour_blur), ridge, scale)
         if len(found) < s.min_points:
             raise FeatureError(
                 f"The picture has {len(found)} edge points; at least {s.min_points} are needed to match it."
@@ -103,6 +102,19 @@ class DefaultExtractor:
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
         maps = polar_maps(fields, self._polar)[0]
         return Features(found.subset(torch.as_tensor(keep)), maps, full, fields, contrast, grain)
+
+    def with_relief(self, features: Features, relief: Tensor) -> Features:
+        """Features under another relief (h, w), say a corrected one: fields and maps follow it, edge points stay."""
+        fields = self._fields(relief)
+        return replace(features, fields=fields, maps=polar_maps(fields, self._polar)[0])
+
+    def _fields(self, relief: Tensor) -> Tensor:
+        """The relief and its gradients at every scale (C, h, w)."""
+        slopes = [self._slope(relief, blurred) * self._small_mask for blurred in self.settings.edge_blurs]
+        return torch.cat([relief[None], *slopes])
+
+    def _slope(self, relief: Tensor, blurred: float) -> Tensor:
+        return gradient(masked_blur(relief, self._small_mask, blurred * self._unit))
 
     def _edges(self, ridge: Tensor) -> NDArray[np.bool_]:
         on = ridge[ridge > 1e-4]

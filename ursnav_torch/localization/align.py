@@ -120,14 +120,9 @@ class Aligner:
 
     def draw(self, T_kidney_camera: Array, light: Array, light_known: bool = False) -> Drawing:
         """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
-        grid, R = self.grid, T_kidney_camera[:3, :3].astype(np.float32)
-        depth, normals = self._scene.cast(T_kidney_camera[:3, 3], self._rays @ R.T)
-        hit = np.isfinite(depth)
-        distance = np.full(self._inside.shape, np.inf, np.float32)
-        distance[self._inside] = depth
+        grid = self.grid
         lights = light[None] if light_known else np.concatenate([light[None], light + np.diag(STEP)])
-        gray = np.zeros((*self._inside.shape, len(lights)), np.float32)
-        gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
+        gray, distance = self._lit(T_kidney_camera, lights)
         value, slope = grid.of_drawings(gray)
         distance = distance[grid.compared]
         seen = np.isfinite(distance)
@@ -136,6 +131,21 @@ class Aligner:
         motion[:3] /= distance
         lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[: len(value) - 1, None, None]
         return Drawing(grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
+
+    def relief(self, T_kidney_camera: Array, light: Array) -> Floats:
+        """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have."""
+        return self.grid.relief(self._lit(T_kidney_camera, light[None])[0])[..., 0]
+
+    def _lit(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
+        """Gray values (H, W, M) under M lights (M, 5), and the wall's distance (H, W), inf without a wall."""
+        R = T_kidney_camera[:3, :3].astype(np.float32)
+        depth, normals = self._scene.cast(T_kidney_camera[:3, 3], self._rays @ R.T)
+        hit = np.isfinite(depth)
+        distance = np.full(self._inside.shape, np.inf, np.float32)
+        distance[self._inside] = depth
+        gray = np.zeros((*self._inside.shape, len(lights)), np.float32)
+        gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
+        return gray, distance
 
     def _step(self, picture: Fields, drawing: Drawing, state: _State, light: Array) -> tuple[float, Array | None]:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""

@@ -12,7 +12,7 @@ from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.align import Aligned, Aligner
-from ursnav_torch.localization.align_fields import AlignGrid, Fields
+from ursnav_torch.localization.align_fields import AlignGrid, Fields, Floats
 from ursnav_torch.localization.align_light import AT_CAMERA
 from ursnav_torch.vid import Vid
 
@@ -132,6 +132,17 @@ class Refiner:
                 states = _better_half(states)
         i, best = states[0]
         return Refined(best.T_kidney_camera, best.score, i, taken, best.light)
+
+    def score(self, features: Features, refined: Refined) -> float:
+        """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""
+        aligner = self._aligners[-1]
+        with torch.inference_mode():
+            picture = aligner.grid.of_picture(features.fields[0])
+        return aligner.align(picture, refined.T_kidney_camera, refined.light, 0, light_known=True).score
+
+    def relief(self, refined: Refined) -> Floats:
+        """The relief (H, W), on the finer grid, of the drawing that a refined pose and its light give."""
+        return self._aligners[-1].relief(refined.T_kidney_camera, refined.light)
 
     def _once(self, aligner: Aligner, picture: Fields, old: Aligned, light_known: bool) -> Aligned:
         """One alignment, held back on its way as far as the wall demands."""

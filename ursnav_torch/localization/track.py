@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import Features
+from ursnav_torch.features import DefaultExtractor, DefaultSettings, Features
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.align_light import Light
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings
+from ursnav_torch.localization.pattern import ScopePattern
 from ursnav_torch.localization.refine import Refined, RefinementSettings, Refiner
 from ursnav_torch.localization.smooth import PoseFilter, SmoothSettings
 from ursnav_torch.localization.track_search import PlaceSearch, SensorReading, TrackSettings, place
@@ -91,7 +92,7 @@ class Tracker:
         smoothing: SmoothSettings | None = None,
         refinement: RefinementSettings | None = None,
     ) -> None:
-        if not vid.features.maps.numel():
+        if not isinstance(vid.settings, DefaultSettings) or not vid.features.maps.numel():
             raise InputError(
                 f"The VID {vid.folder} has features without maps, which tracking needs; build it with features=default."
             )
@@ -102,7 +103,7 @@ class Tracker:
         )
         self._full_refinement, self._around_tries = self._refiner.settings, self.settings.tries
         self._smooth = PoseFilter(smoothing, vid.kidney.scale)
-        self._extractor = vid.extractor()
+        self._extractor = DefaultExtractor(vid.settings, vid.camera)
         self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
         self.reset()
 
@@ -126,6 +127,7 @@ class Tracker:
         self._at_s: float | None = None
         self._seen_s, self._trust, self._state = 0.0, 0.0, SEARCHING
         self._light = Light()
+        self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
         self._own: _Lead | None = None
         self._rival: _Lead | None = None
         self._good: Array | None = None  # last pose that was not shaky
@@ -165,15 +167,19 @@ class Tracker:
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
         s, passed = self.settings, self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
+        as_taken, features = features, self._pattern.removed(features)
         found, fits = self._search.weigh(features, self._before, passed, sensor)
         fit = float(fits[found.weight.argmax()])
         T, _ = place(found, s, self.vid.kidney.scale)
         refined = self._decide(features, T, found, fits, sensor)
         self._light.learn(refined.light, refined.score)
+        if self._state == TRACKING and self._pattern.tells(refined.T_kidney_camera, refined.score):
+            self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         if refined.score >= s.shaky:
             self._good = refined.T_kidney_camera
         self._remember(found, refined.T_kidney_camera, t_s)
-        self._judge(refined, found, passed, sensor)
+        plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
+        self._judge(refined, plain, found, passed, sensor)
         if self._state != TRACKING:
             self._smooth.reset()
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
@@ -284,11 +290,17 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _judge(self, refined: Refined, found: Hypotheses, seconds: float, sensor: SensorReading | None) -> None:
-        """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945)."""
+    def _judge(
+        self, refined: Refined, score: float, found: Hypotheses, seconds: float, sensor: SensorReading | None
+    ) -> None:
+        """Weigh whether this is the VID's kidney: a sequential test with bounds (Wald 1945).
+
+        ``score`` is the refined pose's for the picture as it was taken: what was learned as the scope's pattern makes
+        pictures of another kidney fit, too.
+        """
         s = self.settings
         agree = float(found.weight[self._near_all(found.T_kidney_camera, refined.T_kidney_camera)].sum())
-        odds = s.own_kidney[0] + s.own_kidney[1] * refined.score + s.own_kidney[2] * agree
+        odds = s.own_kidney[0] + s.own_kidney[1] * score + s.own_kidney[2] * agree
         if sensor is not None:
             odds += float(np.clip(s.own_sensor - sensor.off(refined.T_kidney_camera[None])[0], -s.most, s.most))
         gain = float(np.clip(odds, -s.most, s.most_gain)) * min(seconds, 4 * s.usual_s) / s.usual_s

@@ -43,7 +43,7 @@ class TrackSettings:
         usual_s: time between pictures that the next numbers are stated for.
         own_kidney: intercept, and weights of the alignment's score and of the share of the hypotheses that agree with
             its pose, in the log-odds that a picture shows the VID's kidney and not another: logistic regression over
-            two phantoms and two kidneys, each in its own and in another's VID, rounded; not learned from the VID.
+            flights through four phantoms, each in its own and in another's VID; not learned from the VID.
         own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney.
         most: a single picture speaks against this kidney no more than this, and for it no more than ``most_gain``.
         believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given
@@ -70,7 +70,7 @@ class TrackSettings:
     convinced: float = 3.0
     bridge_s: float = 1.0
     usual_s: float = 0.1
-    own_kidney: tuple[float, float, float] = (-9.0, 13.0, 3.0)
+    own_kidney: tuple[float, float, float] = (-9.0, 8.8, 5.7)
     own_sensor: float = 2.0
     most: float = 1.0
     believe: float = 2.0
