@@ -18,7 +18,8 @@ from ursnav_torch.kidney import Kidney, read_calyces, read_centerline, write_cal
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import load_features, save_features
 
-FORMAT = 1
+#: Features of another format are no longer comparable with those that this version extracts.
+FORMAT = 2
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VIEW_COLUMNS = ("view", "calyx", *POSE_COLUMNS)
 _FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "views.csv", "features.safetensors")
