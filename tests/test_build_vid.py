@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def started(out: Path, *overrides: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "ursnav_torch.build_vid", *SMALL, f"out={out}", *overrides]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=out.parent)
+    heed = partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=out.parent, preexec_fn=heed)
 
 
 def test_the_folder_is_as_the_contract_says(whole: Path) -> None:

@@ -173,7 +173,7 @@ class Tracker:
         T, _ = place(found, s, self.vid.kidney.scale)
         refined = self._decide(features, T, found, fits, sensor)
         self._light.learn(refined.light, refined.score)
-        if self._state == TRACKING and self._pattern.tells(refined.T_kidney_camera, refined.score):
+        if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         if refined.score >= s.shaky:
             self._good = refined.T_kidney_camera

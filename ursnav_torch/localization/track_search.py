@@ -73,7 +73,7 @@ class TrackSettings:
     own_kidney: tuple[float, float, float] = (-9.0, 8.8, 5.7)
     own_sensor: float = 2.0
     most: float = 1.0
-    believe: float = 2.0
+    believe: float = 3.0
     give_up: float = 4.0
     debt: float = 6.0
     credit: float = 20.0
