@@ -50,15 +50,20 @@ def main(arguments: list[str]) -> None:
     torch.set_num_threads(1)
     report = Report("navigation", settings)
     with tempfile.TemporaryDirectory() as folder:
-        vid = load_vid(settings["vid"]) if settings["vid"] else phantom_vid(settings, Path(folder) / "vid")
-        lumen = LumenDistance.from_kidney(vid.kidney)
-        record = Path(settings["record"] or Path(folder) / "record")
-        if not settings["record"]:
-            record_flight(vid, record, settings)
-        frames = [e for e in Replay(record, speed=0).events() if isinstance(e, Frame)]
-        _measure(report, Navigator(Tracker(vid, lumen)), frames, settings)
+        navigator, frames = prepare(settings, Path(folder))
+        _measure(report, navigator, frames, settings)
     print(report.table())
     print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+
+
+def prepare(settings: dict[str, Any], folder: Path) -> tuple[Navigator, list[Frame]]:
+    """A navigator and a recorded flight's pictures; what the settings do not name is made in a folder."""
+    vid = load_vid(settings["vid"]) if settings["vid"] else phantom_vid(settings, folder / "vid")
+    record = Path(settings["record"] or folder / "record")
+    if not settings["record"]:
+        record_flight(vid, record, settings)
+    frames = [e for e in Replay(record, speed=0).events() if isinstance(e, Frame)]
+    return Navigator(Tracker(vid, LumenDistance.from_kidney(vid.kidney))), frames
 
 
 def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings: dict[str, Any]) -> None:

@@ -24,13 +24,9 @@ import torch
 
 from benchmarks._results import Report, overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
-from benchmarks.navigation import at_rate, phantom_vid, record_flight
+from benchmarks.navigation import at_rate, prepare
 from ursnav_torch.hardware import Frame
-from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import WORDS, Desk, NavigationState, Navigator
-from ursnav_torch.session import Replay
-from ursnav_torch.vid import load_vid
 from ursnav_torch.viewer.page import LivePage
 
 SETTINGS = {k: v for k, v in FLIGHT.items() if k != "minutes"} | {"seconds": 60.0, "screenshot": ""}
@@ -79,12 +75,7 @@ def main(arguments: list[str]) -> None:
     torch.set_num_threads(1)
     report = Report("page", settings)
     with tempfile.TemporaryDirectory() as folder:
-        vid = load_vid(settings["vid"]) if settings["vid"] else phantom_vid(settings, Path(folder) / "vid")
-        record = Path(settings["record"] or Path(folder) / "record")
-        if not settings["record"]:
-            record_flight(vid, record, settings)
-        frames = [e for e in Replay(record, speed=0).events() if isinstance(e, Frame)]
-        navigator = Navigator(Tracker(vid, LumenDistance.from_kidney(vid.kidney)))
+        navigator, frames = prepare(settings, Path(folder))
         with _navigating(navigator, frames, settings["rate_hz"]):
             _measure(report, navigator, settings)
     print(report.table())

@@ -63,7 +63,8 @@ class AlignGrid:
         self.rays = rays[self.compared]
         self.motion = _motion(self.camera, self.rays).astype(np.float32)
         self._shares: dict[float, Floats] = {}
-        around = LocalPlane(torch.from_numpy(self.mask), settings.relief_reach * self._unit)
+        self._reach = settings.relief_reach * self._unit
+        around = LocalPlane(torch.from_numpy(self.mask), self._reach)
         self._columns, self._weights = (
             v.numpy().transpose(1, 2, 0)[..., None] for v in (around.columns, around.weights)
         )
@@ -86,9 +87,8 @@ class AlignGrid:
         """Relief (H, W, M) of drawings (H, W, M) in gray values: `features.flatten.flatten` on small pictures."""
         mask = self.mask[..., None]
         log_image = self._masked_blur(np.log(gray + 8), max(self._settings.relief_blur * self._unit, 0.5))
-        reach = self._settings.relief_reach * self._unit
-        detail = (log_image - self._planes(log_image, reach)) * mask
-        contrast = np.sqrt(self._masked_blur(detail * detail, reach) + np.float32(_FLOOR**2))
+        detail = (log_image - self._planes(log_image)) * mask
+        contrast = np.sqrt(self._masked_blur(detail * detail, self._reach) + np.float32(_FLOOR**2))
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
     def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -110,10 +110,10 @@ class AlignGrid:
         share = self.mask[..., None] / np.sqrt(strength + half * half)
         return np.stack([relief, x * share, y * share], axis=2)
 
-    def _planes(self, x: Floats, sigma_px: float) -> Floats:
+    def _planes(self, x: Floats) -> Floats:
         """Planes through the surroundings (H, W, M) of (H, W, M), as `features.LocalPlane`."""
         products = x[:, :, None] * self._columns
-        return (_blur(products.reshape(*x.shape[:2], -1), sigma_px).reshape(products.shape) * self._weights).sum(2)
+        return (_blur(products.reshape(*x.shape[:2], -1), self._reach).reshape(products.shape) * self._weights).sum(2)
 
     def _masked_blur(self, x: Floats, sigma_px: float) -> Floats:
         """Gaussian mean of (H, W, M) over the pixels inside, as `features.flatten.masked_blur`."""
