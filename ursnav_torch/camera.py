@@ -74,10 +74,10 @@ class Camera:
             scale = 1 / np.where(ok, z, 1.0)
         else:
             ok = (r > 0) | (z > 0)
-            on_axis = 1 / np.where(np.abs(z) > 1e-12, np.abs(z), 1.0)
-            scale = np.where(r > 1e-12, self._distort(theta) / np.where(r > 1e-12, r, 1.0), on_axis)
-        pixels = np.stack([self.fx * x * scale + self.cx, self.fy * y * scale + self.cy], axis=-1)
+            scale = self._distort(theta) / np.maximum(r, 1e-12)  # on the axis x and y are nothing, too
+        pixels = np.empty((*x.shape, 2))
         u, v = pixels[..., 0], pixels[..., 1]
+        u[...], v[...] = self.fx * x * scale + self.cx, self.fy * y * scale + self.cy
         inside = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
         return pixels, ok & inside & (theta <= self._theta_max())
 
@@ -129,6 +129,8 @@ class Camera:
         return math.pi if self.fov_deg is None else math.radians(self.fov_deg) / 2 + 1e-9
 
     def _distort(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not any(self.k):
+            return theta
         t2 = theta * theta
         k1, k2, k3, k4 = self.k
         return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))

@@ -140,7 +140,9 @@ class Aligner:
         motion = grid.motion.copy()
         motion[:3] /= distance
         lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[: len(value) - 1, None, None]
-        return Drawing(T_kidney_camera, light, grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32))
+        return Drawing(
+            T_kidney_camera, light, grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32)
+        )
 
     def relief(self, T_kidney_camera: Array, light: Array) -> Floats:
         """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have."""
@@ -175,12 +177,9 @@ class Aligner:
         gain = np.maximum(correlation, _LEAST_GAIN)[:, None].astype(np.float32)
         residual: Floats = seen - gain * drawn
         weight = _tukey(residual, good, count)
-        x, y = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
-        motion = drawing.motion[:, :, None]
-        jacobian = np.concatenate([x * motion[:, 0] + y * motion[:, 1], drawing.lit * (-gain / drawn_size)])
-        jacobian = jacobian.reshape(len(jacobian), -1)
-        weighted = jacobian * weight.reshape(-1)
-        normal, slant = (weighted @ jacobian.T).astype(float), (weighted @ residual.reshape(-1)).astype(float)
+        gradient = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
+        lit = drawing.lit * (-gain / drawn_size)
+        normal, slant = _normal_equations(drawing.motion, gradient, lit, weight, residual)
         normal += np.diag(_DAMPING * np.diag(normal) + 1e-9)
         if len(drawing.lit):
             prior = _LIGHT_PRIOR * count / SPREAD**2
@@ -194,6 +193,30 @@ class Aligner:
         """A step shortened to what one linearization can be trusted with."""
         far, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:6]))
         return step * min(1.0, self._longest_step / max(far, 1e-12), _LARGEST_TURN / max(turned, 1e-12))
+
+
+def _normal_equations(
+    motion: Floats, gradient: Floats, lit: Floats, weight: Floats, residual: Floats
+) -> tuple[Array, Array]:
+    """J W J^T (6 + L, 6 + L) and J W r (6 + L,) for the rows ``gradient . motion`` and ``lit`` of J.
+
+    A field's row is the field's gradient (2, 3, N) times the motion of its pixels (6, 2, N), which all fields share,
+    so fields are summed before they are multiplied out.
+    """
+    x, y = motion[:, 0], motion[:, 1]
+    weighted = gradient * weight
+    xx, yy = (weighted * gradient).sum(1)
+    xy = (weighted[0] * gradient[1]).sum(0)
+    bx, by = (weighted * residual).sum(1)
+    normal = (x * xx + y * xy) @ x.T + (x * xy + y * yy) @ y.T
+    slant = x @ bx + y @ by
+    if len(lit):
+        at_x, at_y = np.einsum("acn,kcn->akn", weighted, lit)
+        beside, flat = x @ at_x.T + y @ at_y.T, lit.reshape(len(lit), -1)
+        own = (lit * weight).reshape(flat.shape)
+        normal = np.block([[normal, beside], [beside.T, own @ flat.T]])
+        slant = np.concatenate([slant, own @ residual.reshape(-1)])
+    return normal.astype(float), slant.astype(float)
 
 
 def _standard(field: Floats, good: Floats) -> tuple[Floats, Floats]:

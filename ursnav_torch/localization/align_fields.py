@@ -27,8 +27,8 @@ class Fields:
     """Fields of one picture: relief, then the gradient's x and y.
 
     Attributes:
-        value: (H, W, 3).
-        slope_x, slope_y: (H, W, 3) change per px.
+        value: (3, H, W).
+        slope_x, slope_y: (3, H, W) change per px.
     """
 
     value: Floats
@@ -60,6 +60,7 @@ class AlignGrid:
         rays, inside = self.camera.pixel_rays()
         self.mask = (_blur(inside.astype(np.float32), 1.0) > 0.99).astype(np.float32)
         self.compared = _blur(self.mask, max(1.0, _RIM / 2 * GRADIENT_BLUR * self._unit)) > 0.97
+        self._counted = self.compared.astype(np.float32)
         self.rays = rays[self.compared]
         self.motion = _motion(self.camera, self.rays).astype(np.float32)
         self._shares: dict[float, Floats] = {}
@@ -74,14 +75,14 @@ class AlignGrid:
         size = (self.camera.height, self.camera.width)
         small = torch.nn.functional.interpolate(relief[None, None], size, mode="bilinear", antialias=True)[0, 0]
         value = self._fields((small.numpy() * self.mask)[..., None])[..., 0]
-        return Fields(value, *_slopes(value))
+        return Fields(*(np.ascontiguousarray(x.transpose(2, 0, 1)) for x in (value, *_slopes(value))))
 
     def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
         """Fields (M, 3, N) of drawings (H, W, M) in gray values 0 to 255, and the first one's slopes (2, 3, N)."""
         value = self._fields(self.relief(gray))
-        slope = np.stack(_slopes(np.ascontiguousarray(value[..., 0])))
+        along = np.stack(_slopes(np.ascontiguousarray(value[..., 0])))[:, self.compared]  # (2, N, 3)
         inside = value[self.compared]  # (N, 3, M)
-        return np.ascontiguousarray(inside.transpose(2, 1, 0)), slope[:, self.compared].transpose(0, 2, 1)
+        return np.ascontiguousarray(inside.transpose(2, 1, 0)), np.ascontiguousarray(along.transpose(0, 2, 1))
 
     def relief(self, gray: Floats) -> Floats:
         """Relief (H, W, M) of drawings (H, W, M) in gray values: `features.flatten.flatten` on small pictures."""
@@ -91,16 +92,15 @@ class AlignGrid:
         contrast = np.sqrt(self._masked_blur(detail * detail, self._reach) + np.float32(_FLOOR**2))
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
-    def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px, and which of them are compared (N,)."""
-        x, y = np.ascontiguousarray(pixels.T.astype(np.float32))
-        parts = [
-            cv2.remap(p, x[None], y[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0].T
-            for p in (fields.value, fields.slope_x, fields.slope_y)
-        ]
-        column = np.rint(x).astype(int).clip(0, self.camera.width - 1)
-        row = np.rint(y).astype(int).clip(0, self.camera.height - 1)
-        return parts[0], np.stack(parts[1:]), self.compared[row, column]
+    def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, Floats]:
+        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px; 1.0 where they are compared (N,)."""
+        x, y = np.ascontiguousarray(pixels.T.astype(np.float32))[:, None]
+        parts = np.empty((3, 3, len(pixels)), np.float32)
+        for part, of in zip(parts, (fields.value, fields.slope_x, fields.slope_y), strict=True):
+            for row, plane in zip(part, of, strict=True):  # rows that lie together are what is fast afterwards
+                cv2.remap(plane, x, y, cv2.INTER_LINEAR, row[None], cv2.BORDER_REPLICATE)
+        compared = cv2.remap(self._counted, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)[0]
+        return parts[0], parts[1:], compared
 
     def _fields(self, relief: Floats) -> Floats:
         """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first sets the softness."""

@@ -71,10 +71,15 @@ def gray_values(points_mm: Floats, normals: Floats, lights: Array) -> Floats:
     if not len(points_mm):
         return np.zeros((0, len(lights)), np.float32)
     offset, reach, ambient = lights[:, :3].astype(np.float32), lights[:, 3], lights[:, 4].astype(np.float32)
-    square = np.square(points_mm).sum(1)[:, None] - 2 * points_mm @ offset.T + np.square(offset).sum(1)
-    facing = normals @ offset.T - np.sum(points_mm * normals, axis=1)[:, None]
+    square = _dot(points_mm, points_mm) - 2 * points_mm @ offset.T + np.square(offset).sum(1)
+    facing = normals @ offset.T - _dot(points_mm, normals)
     cosine = facing / np.sqrt(np.maximum(square, 1e-6))
     radiance = (np.clip(cosine, 0, 1) + ambient) / (square + np.square(reach).astype(np.float32))
     reference = max(float(np.percentile(radiance[:, 0], _DEFAULT.exposure_percentile)), 1e-12)
     gray = np.float32(_DEFAULT.exposure_level) * (radiance / np.float32(reference)) ** np.float32(1 / _DEFAULT.gamma)
     return 255 * np.clip(gray, 0, 1)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Products (N, 1) of vectors (N, 3)."""
+    return np.einsum("ni,ni->n", a, b)[:, None]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.geometry import transform_from
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,14 @@ def mean_pose(
         (4, 4) T_kidney_camera, and a number 0..1.
     """
     T = T_kidney_camera
-    near = np.linalg.norm(T[:, :3, 3] - T[row, :3, 3], axis=1) <= near_mm
-    near &= rotation_angle(T[row], T) <= np.radians(near_deg)
+    near = are_near(T, T[row], near_mm, near_deg)
     w = weight[near]
     R = Rotation.from_matrix(T[near, :3, :3]).mean(weights=w).as_matrix()
     return transform_from(R, np.average(T[near, :3, 3], axis=0, weights=w)), float(w.sum() / weight.sum())
+
+
+def are_near(T_a: Array, T_b: Array, near_mm: float, near_deg: float) -> NDArray[np.bool_]:
+    """Which poses (N, 4, 4) are one place with another (4, 4): no farther away, and no farther turned."""
+    near = np.linalg.norm(T_a[:, :3, 3] - T_b[:3, 3], axis=1) <= near_mm
+    cosine = (np.einsum("nij,ij->n", T_a[:, :3, :3], T_b[:3, :3]) - 1) / 2
+    return np.asarray(near & (cosine >= np.cos(np.radians(near_deg))), bool)

@@ -1,6 +1,6 @@
 """From the nearest views to the true pose: the best few aligned with the picture, the best kept."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,8 @@ from ursnav_torch.localization.align_light import AT_CAMERA
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
+#: What is known of poses (K, 4, 4) before they are looked at, in units of the score (K,).
+Prior = Callable[[Array], Array]
 
 #: A hypothesis whose score is this much below the best one's is given up.
 MARGIN = 0.05
@@ -106,6 +108,7 @@ class Refiner:
         candidates: Sequence[Array],
         light: Array | None = None,
         light_known: bool = False,
+        prior: Prior | None = None,
     ) -> Refined:
         """The best pose near one of the candidates.
 
@@ -114,6 +117,7 @@ class Refiner:
             candidates: T_kidney_camera (4, 4) each, best first.
             light: where the light was found before, if it was.
             light_known: keep to that light.
+            prior: added to the scores (K,) of poses (K, 4, 4) where they are ranked; none when None.
 
         Raises:
             InputError: no candidate, or one that is no rigid transform.
@@ -131,7 +135,7 @@ class Refiner:
             for _ in range(rounds):
                 states = [(i, self._once(aligner, picture, state, light_known)) for i, state in states]
                 taken += sum(state.iterations for _, state in states)
-                states = _better_half(states)
+                states = _better_half(states, prior)
         i, best = states[0]
         assert best.drawing is not None
         return Refined(best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
@@ -162,8 +166,10 @@ class Refiner:
         return held
 
 
-def _better_half(states: list[tuple[int, Aligned]]) -> list[tuple[int, Aligned]]:
+def _better_half(states: list[tuple[int, Aligned]], prior: Prior | None) -> list[tuple[int, Aligned]]:
     """The better half of numbered hypotheses, best first, without those `MARGIN` below the best."""
-    ranked = sorted(states, key=lambda state: -state[1].score)
-    near = [state for state in ranked if state[1].score >= ranked[0][1].score - MARGIN]
-    return near[: (len(states) + 1) // 2]
+    worth = np.array([state.score for _, state in states])
+    if prior is not None:
+        worth = worth + prior(np.stack([state.T_kidney_camera for _, state in states]))
+    ranked = [i for i in np.argsort(-worth, kind="stable") if worth[i] >= worth.max() - MARGIN]
+    return [states[i] for i in ranked[: (len(states) + 1) // 2]]

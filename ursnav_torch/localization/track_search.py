@@ -37,6 +37,8 @@ class TrackSettings:
         shaky: after an alignment that scores less, the track is looked for anew among all hypotheses.
         unsure: while alignments score less, a place that fits well is aligned beside the track.
         better_by: another place whose alignment scores better by this is preferred a full step.
+        motion_weight: score an alignment is held back by for every e-fold that motion makes its pose less probable,
+            up to ``better_by``.
         most_gain: a single picture counts for no more steps than this.
         convinced: so many steps, and it becomes the track.
         bridge_s: pictures that show nothing are bridged for this long.
@@ -66,6 +68,7 @@ class TrackSettings:
     shaky: float = 0.35
     unsure: float = 0.65
     better_by: float = 0.1
+    motion_weight: float = 0.01
     most_gain: float = 2.0
     convinced: float = 3.0
     bridge_s: float = 1.0

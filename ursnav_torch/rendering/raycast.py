@@ -19,8 +19,7 @@ class RayScene:
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._normals = np.asarray(mesh.vertex_normals, np.float32)
-        self._faces = np.asarray(mesh.faces)
+        self._corners = np.asarray(mesh.vertex_normals, np.float32)[np.asarray(mesh.faces)]  # (F, 3, 3)
         self._scene = rtcore_scene.EmbreeScene()
         TriangleMesh(self._scene, np.asarray(mesh.triangles, np.float32))
 
@@ -35,10 +34,11 @@ class RayScene:
         depth = np.full(len(directions), np.inf, np.float32)
         depth[wall] = hits["tfar"][wall]
         normals = np.zeros((len(directions), 3), np.float32)
-        u, v = hits["u"][wall, None], hits["v"][wall, None]
-        corner = self._normals[self._faces[face[wall]]]
-        smooth = (1 - u - v) * corner[:, 0] + u * corner[:, 1] + v * corner[:, 2]
-        normals[wall] = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+        u, v = hits["u"][wall], hits["v"][wall]
+        share = np.stack([1 - u - v, u, v], axis=1)
+        smooth = np.einsum("nk,nki->ni", share, self._corners[face[wall]])
+        size = np.sqrt(np.einsum("ni,ni->n", smooth, smooth))
+        normals[wall] = smooth / np.maximum(size, 1e-9)[:, None]
         return depth, normals
 
 
