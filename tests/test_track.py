@@ -85,6 +85,13 @@ def test_a_folder_gives_rows_coverage_and_a_picture(run: Run, vid: Vid, folder: 
     assert again.code == 1 and "overwrite=true" in again.err
 
 
+def test_a_recording_can_be_tracked_with_hindsight(run: Run, vid: Vid, folder: Path, tmp_path: Path) -> None:
+    done = run("track", f"vid={vid.folder}", f"source={folder}", f"out={tmp_path / 'a.csv'}", "offline=true")
+    assert done.code == 0, done.err
+    assert "8 pictures: 8 tracking" in done.out
+    assert {row["state"] for row in read(tmp_path / "a.csv")} == {"tracking"}
+
+
 def test_a_video_and_em_samples(run: Run, vid: Vid, video: Path, tmp_path: Path) -> None:
     em = tmp_path / "em.csv"
     x, y, z = vid.kidney.calyces[0].tip_mm

@@ -28,7 +28,8 @@ def main(config: Any) -> int:
     if config.em is not None:
         to_kidney = None if config.em_to_kidney is None else caller_path(config.em_to_kidney)
         sensor = recorded_readings(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
-    summary, whole = track_source(tracker, source, caller_path(config.out), sensor, config.overwrite, progress)
+    out = caller_path(config.out)
+    summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline)
     print(summary)
     return OK if whole else NOT_DONE
 

@@ -1,9 +1,12 @@
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 
 from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.localization.track import Tracker
+from ursnav_torch.localization.track import Tracked, Tracker
 from ursnav_torch.localization.track_video import Moment, Source, follow_source, track_rows
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
@@ -32,13 +35,18 @@ def test_reading_ahead_changes_no_answer(vid: Vid, moments: list[Moment], live: 
             np.testing.assert_allclose(a.T_kidney_camera, b.T_kidney_camera, atol=1e-6)
 
 
+def rows_of(vid: Vid, pictures: Callable[[], Iterator[Moment]]) -> Iterator[tuple[dict[str, Any], Tracked]]:
+    tracker = Tracker(vid)
+    return track_rows(tracker, follow_source(tracker, Source(pictures, 2, "pictures")))
+
+
 def test_a_source_that_breaks_says_so_and_one_without_pictures_gives_no_row(vid: Vid, moments: list[Moment]) -> None:
     def broken():  # type: ignore[no-untyped-def]
         yield moments[0]
         raise OSError("the disk is gone")
 
-    rows = track_rows(Tracker(vid), Source(broken, 2, "pictures"))
+    rows = rows_of(vid, broken)
     assert next(rows)[0]["frame"] == 0
     with pytest.raises(OSError, match="disk is gone"):
         next(rows)
-    assert list(track_rows(Tracker(vid), Source(lambda: iter(()), 0, "nothing"))) == []
+    assert list(rows_of(vid, lambda: iter(()))) == []

@@ -37,6 +37,18 @@ class SmoothSettings:
         if min(self.position_mm, self.turn_deg, self.push_mm_s2, self.swing_deg_s, self.fade_s) <= 0:
             raise InputError(f"Smoothing needs standard deviations and times above 0, got {self}.")
 
+    def noise(self, score: float, unit: float) -> tuple[float, float]:
+        """Standard deviations, in mm and radians, of a pose aligned with a score."""
+        worse = float(np.exp(self.spoil * max(self.good - score, 0.0)))
+        return self.position_mm * unit * worse, float(np.radians(self.turn_deg)) * worse
+
+    def motion(self, seconds: float, unit: float) -> tuple[Array, Array, float]:
+        """What time does to position and velocity (2, 2), the covariance (2, 2) it adds, and the turn's variance."""
+        dt, fade = seconds, np.exp(-seconds / self.fade_s)
+        F = np.array([[1.0, self.fade_s * (1 - fade)], [0.0, fade]])
+        push = (self.push_mm_s2 * unit) ** 2 * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
+        return F, push, float((np.radians(self.swing_deg_s) * dt) ** 2)
+
 
 class PoseFilter:
     """Position and velocity by a Kalman filter, one for all axes; rotation by the gain that its own noise gives."""
@@ -55,20 +67,15 @@ class PoseFilter:
         """Pose (4, 4) at a later time, as far as motion tells; None before the first pose."""
         if self._state is None:
             return None
-        s, dt = self.settings, max(t_s - self._at_s, 0.0)
-        fade = np.exp(-dt / s.fade_s)
-        F = np.array([[1.0, s.fade_s * (1 - fade)], [0.0, fade]])
-        push = (s.push_mm_s2 * self._unit) ** 2 * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
+        F, push, swing = self.settings.motion(max(t_s - self._at_s, 0.0), self._unit)
         self._state, self._covariance = F @ self._state, F @ self._covariance @ F.T + push
-        self._turn_variance += (np.radians(s.swing_deg_s) * dt) ** 2
+        self._turn_variance += swing
         self._at_s = t_s
         return transform_from(self._R, self._state[0])
 
     def update(self, T_kidney_camera: Array, t_s: float, score: float) -> Array:
         """The smoothed pose (4, 4) after a pose measured at ``t_s`` with an alignment score."""
-        s = self.settings
-        worse = np.exp(s.spoil * max(s.good - score, 0.0))
-        sigma, turn = s.position_mm * self._unit * worse, np.radians(s.turn_deg) * worse
+        sigma, turn = self.settings.noise(score, self._unit)
         if self.predict(t_s) is None:
             self._state = np.stack([T_kidney_camera[:3, 3], np.zeros(3)])
             self._covariance = np.diag([sigma, 5.0 * self._unit]) ** 2

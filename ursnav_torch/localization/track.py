@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import DefaultExtractor, DefaultSettings, Features
+from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, EdgePoints, Features
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.consensus import are_near
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings, transition
@@ -43,6 +44,8 @@ class Tracked:
         fit: of the best hypothesis to the picture, nan where that showed nothing.
         score: how well the refined pose is aligned, 1 is perfect; nan likewise.
         seconds: from picture to answer.
+        T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
+            showed nothing.
     """
 
     state: str
@@ -52,6 +55,7 @@ class Tracked:
     fit: float
     score: float
     seconds: float
+    T_aligned: Array | None = None
 
 
 class Tracker:
@@ -86,9 +90,11 @@ class Tracker:
         )
         self._full_refinement = self._refiner.settings
         self._pursuit = Pursuit(self._refiner, self.settings, vid.kidney.scale)
-        self._smooth = PoseFilter(smoothing, vid.kidney.scale)
+        self.smoothing = smoothing or SmoothSettings()
+        self._smooth = PoseFilter(self.smoothing, vid.kidney.scale)
         self._extractor = DefaultExtractor(vid.settings, vid.camera)
-        self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self._extractor.working_camera)
+        self.working_camera = self._extractor.working_camera
+        self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self.working_camera)
         self.reset()
 
     def ease(self, level: int) -> None:
@@ -135,6 +141,13 @@ class Tracker:
             except FeatureError:
                 return None
 
+    def recall(self, relief: Tensor) -> Features:
+        """What `follow` needs, from no more than the relief (h, w) of what `extract` gave, ``fields[0]``."""
+        none = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
+        kept = Features(none, NO_MAPS, np.zeros((0, 0), bool), relief[None])
+        with torch.inference_mode(), one_thread_an_operation():
+            return self._extractor.with_relief(kept, relief)
+
     def follow(
         self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
     ) -> Tracked:
@@ -160,12 +173,14 @@ class Tracker:
         self._judge(refined.T_kidney_camera, plain, found, passed, sensor)
         if self._state != TRACKING:
             self._smooth.reset()
-            return Tracked(self._state, None, -1, 0.0, fit, refined.score, time.perf_counter() - start)
+            spent = time.perf_counter() - start
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
         confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._test.trust))
-        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, time.perf_counter() - start)
+        spent = time.perf_counter() - start
+        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera)
 
     def _by_motion(self, seconds: float) -> Prior:
         """What motion since the picture before says of poses, in units of the alignment's score."""

@@ -1,7 +1,7 @@
 """A whole video, folder or stream of pictures tracked: pictures with their times in, rows and coverage out."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -106,48 +106,52 @@ def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | N
     return Source(moments, 0, "the camera", live=True)
 
 
-def follow_source(
-    tracker: Tracker, source: Source, sensor: Callable[[Moment], SensorReading | None] | None = None
-) -> Iterator[tuple[Moment, Tracked]]:
-    """Every picture and the answer to it; of files, the next picture is read while this one is followed."""
-    if source.live:
-        for moment in source.moments():
-            yield moment, tracker.step(moment.image, moment.t_s, sensor(moment) if sensor else None)
-        return
+def extracted(tracker: Tracker, source: Source) -> Iterator[tuple[Moment, Features | None, float]]:
+    """Every picture with its features and the seconds those took; of files, the next is read beside its follower."""
     moments = source.moments()
 
     def prepare() -> tuple[Moment, Features | None, float] | None:
         moment, start = next(moments, None), time.perf_counter()
         return None if moment is None else (moment, tracker.extract(moment.image), time.perf_counter() - start)
 
+    if source.live:
+        while (ready := prepare()) is not None:
+            yield ready
+        return
     with ThreadPoolExecutor(1) as beside:
         coming = beside.submit(prepare)
         while (ready := coming.result()) is not None:
             coming = beside.submit(prepare)
-            moment, features, spent = ready
-            reading = sensor(moment) if sensor else None
-            yield moment, tracker.follow(features, moment.t_s, reading, time.perf_counter() - spent)
+            yield ready
 
 
-def track_rows(
+def follow_source(
     tracker: Tracker,
     source: Source,
     sensor: Callable[[Moment], SensorReading | None] | None = None,
-    coverage: Coverage | None = None,
     advance: Callable[[int], None] = lambda n: None,
+) -> Iterator[tuple[Moment, Tracked]]:
+    """Every picture and the answer to it, as soon as it is known; ``advance`` is called with 1 after each."""
+    for moment, features, spent in extracted(tracker, source):
+        start = time.perf_counter() - spent
+        yield moment, tracker.follow(features, moment.t_s, sensor(moment) if sensor else None, start)
+        advance(1)
+
+
+def track_rows(
+    tracker: Tracker, answers: Iterable[tuple[Moment, Tracked]], coverage: Coverage | None = None
 ) -> Iterator[tuple[dict[str, Any], Tracked]]:
     """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along.
 
     A picture is painted when the track is believed, for the time since the one before.
     """
     last = None
-    for moment, tracked in follow_source(tracker, source, sensor):
+    for moment, tracked in answers:
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
         if coverage is not None and tracked.T_kidney_camera is not None and np.isfinite(tracked.score):
             coverage.add(tracked.T_kidney_camera, passed)
         yield track_row(moment, tracked, tracker), tracked
-        advance(1)
 
 
 def track_row(moment: Moment, tracked: Tracked, tracker: Tracker) -> dict[str, Any]:

@@ -16,12 +16,14 @@ from ursnav_torch.hardware import Camera
 from ursnav_torch.hardware.base import SourceAtEndError
 from ursnav_torch.localization.coverage import Coverage
 from ursnav_torch.localization.track import LOST, TRACKING, Tracker
+from ursnav_torch.localization.track_offline import follow_both_ways
 from ursnav_torch.localization.track_search import SensorReading
 from ursnav_torch.localization.track_video import (
     TRACK_COLUMNS,
     Moment,
     Source,
     coverage_report,
+    follow_source,
     live_source,
     track_rows,
 )
@@ -34,12 +36,27 @@ _REACH_STRIDE = 4
 
 
 def track_source(
-    tracker: Tracker, source: Source, out: Path, sensor: Sensor | None, overwrite: bool, progress: Progress
+    tracker: Tracker,
+    source: Source,
+    out: Path,
+    sensor: Sensor | None,
+    overwrite: bool,
+    progress: Progress,
+    offline: bool = False,
 ) -> tuple[str, bool]:
     """Track a source; write the rows to ``out`` and what was seen to ``.coverage.json`` and ``.png`` beside it.
 
     Rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
     tracked so far.
+
+    Args:
+        tracker: fresh.
+        source: the pictures.
+        out: CSV file of the rows.
+        sensor: an EM reading for a picture.
+        overwrite: replace what stands there.
+        progress: shows how far it is.
+        offline: follow a recording both ways before anything is answered, see `track_offline`.
 
     Returns:
         The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
@@ -56,9 +73,10 @@ def track_source(
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
-        with progress(source.length, "pictures") as advance:
+        follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
+        with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
             try:
-                for row, tracked in track_rows(tracker, source, sensor, coverage, advance):
+                for row, tracked in track_rows(tracker, follow(tracker, source, sensor, advance), coverage):
                     writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
                     spent.append(tracked.seconds)
                     states[tracked.state] = states.get(tracked.state, 0) + 1
