@@ -4,6 +4,7 @@
     python -m benchmarks.tracking data=DIR                 # and the videos of the kidneys in DIR
     python -m benchmarks.tracking data=DIR work=DIR        # VIDs are kept there; benchmarks.accuracy shares them
     python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
+    python -m benchmarks.tracking offline=false            # without the answers of hindsight
 
 A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``,
 ``_truth.csv`` and an ``_em.csv``. Every video is also tracked in the next kidney's VID, where it must end lost.
@@ -30,14 +31,16 @@ from ursnav_torch.geometry import look_along, rotation_angle, transform_from_qua
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney, observed_calyx
 from ursnav_torch.localization.coverage import Coverage
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
+from ursnav_torch.localization.track_offline import follow_both_ways
 from ursnav_torch.localization.track_search import SensorReading
 from ursnav_torch.localization.track_video import Moment, Source, follow_source, open_source
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
-SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "pictures": 0, "out": ""}
+SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "offline": True, "pictures": 0, "out": ""}
 Array = NDArray[np.float64]
+Follow = Callable[[Tracker, Source, Callable[[Moment], SensorReading | None]], Iterator[tuple[Moment, Tracked]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +61,42 @@ def main(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         cases = [_phantom(seed, settings, work) for seed in range(settings["phantoms"])]
-        _judge_all(report, cases)
+        _judge_all(report, cases, settings["offline"])
         data = Path(settings["data"]) if settings["data"] else None
         if data is None:
             report.skip("videos", "data= names no folder of kidneys")
         else:
             names = sorted(p.parent.name for p in data.glob("*/video.mp4"))
-            cases = [_kidney(data / name, work) for name in names]
-            _judge_all(report, cases)
-        if settings["pictures"]:
+            videos = [_kidney(data / name, work) for name in names]
+            _judge_all(report, videos, settings["offline"])
+            cases = videos + cases
+        if settings["pictures"] and cases:
             _memory(report, *cases[0], settings["pictures"])
     print(report.table())
     print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
 
 
-def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]]) -> None:
+def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]], offline: bool) -> None:
     for vid, explorations in cases:
         for exploration in explorations:
-            _judge(report, vid, exploration)
+            _judge(report, vid, exploration, exploration.name, follow_source)
+            if offline:
+                _judge(report, vid, exploration, f"{exploration.name}, offline", follow_both_ways)
     for (vid, _), (_, others) in zip(cases, cases[1:] + cases[:1], strict=True):
         if len(cases) > 1:
             _judge_other(report, vid, others[0])
 
 
-def _judge(report: Report, vid: Vid, exploration: Exploration) -> None:
+def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follow: Follow) -> None:
     """The bars: calyx, position, losses, coverage, speed."""
-    group, T = exploration.name, exploration.T_kidney_camera
+    T = exploration.T_kidney_camera
     tracker = Tracker(vid)
     coverage, truth = (Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::4]) for _ in range(2))
     answers: list[Tracked] = []
     readings = exploration.sensor
     source = Source(exploration.moments, len(T), exploration.name)
     start = time.perf_counter()
-    for _, last in follow_source(tracker, source, lambda m: readings[m.frame] if readings else None):
+    for _, last in follow(tracker, source, lambda m: readings[m.frame] if readings else None):
         answers.append(last)
         if last.T_kidney_camera is not None and np.isfinite(last.score):
             coverage.add(last.T_kidney_camera, 0.1)
@@ -138,9 +144,9 @@ def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures:
         for moment in explorations[0].moments():
             tracker.step(moment.image, count / 10)
             count += 1
-            if count % 100 == 0:
+            if count % max(pictures // 100, 1) == 0:
                 used.append(resident_mb())
-    third = len(used) // 3
+    third = max(len(used) // 3, 1)
     growth = float(np.median(used[-third:]) - np.median(used[third:-third]))
     report.add("memory", f"over {count} pictures", "MB", used)
     report.add("memory", "last third less the middle one", "MB", [growth])

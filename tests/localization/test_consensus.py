@@ -2,7 +2,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.geometry import inverse, rotation_angle, transform_from
-from ursnav_torch.localization.consensus import mean_pose
+from ursnav_torch.localization.consensus import are_near, mean_pose
 
 
 def poses(rng: np.random.Generator, count: int, spread_mm: float, spread_deg: float) -> np.ndarray:
@@ -36,3 +36,11 @@ def test_it_moves_with_the_kidney() -> None:
 def test_one_pose_alone_is_its_own_mean() -> None:
     T = poses(np.random.default_rng(3), 1, 5.0, 40.0)
     np.testing.assert_allclose(mean_pose(T, np.array([0.3]), 0, near_mm=3.0)[0], T[0], atol=1e-12)
+
+
+def test_one_place_is_near_in_way_and_in_turn() -> None:
+    far, turned = np.eye(4), np.eye(4)
+    far[0, 3] = 3.1
+    turned[:3, :3] = Rotation.from_rotvec([0, 0, np.radians(26)]).as_matrix()
+    assert are_near(np.stack([np.eye(4), far, turned]), np.eye(4), 3.0, 25.0).tolist() == [True, False, False]
+    assert are_near(np.zeros((0, 4, 4)), np.eye(4), 3.0, 25.0).shape == (0,)

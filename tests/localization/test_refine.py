@@ -110,6 +110,30 @@ def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refi
     assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.1
 
 
+def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(
+    fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T, other = fine.T_kidney_camera[3], fine.T_kidney_camera[30]
+    seen = features(fine, phantom, T)
+
+    def elsewhere(poses: np.ndarray) -> np.ndarray:
+        return -2.0 * (np.linalg.norm(poses[:, :3, 3] - other[:3, 3], axis=1) > 3.0)
+
+    plain, told = (refiner.refine(seen, [T, other], prior=prior) for prior in (None, elsewhere))
+    assert (plain.hypothesis, told.hypothesis) == (0, 1)
+    assert told.score < plain.score <= 1.0  # the score is the picture's alone
+
+
+def test_a_refined_pose_is_scored_for_other_features_as_if_drawn_there(
+    fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T = fine.T_kidney_camera[3]
+    found = refiner.refine(features(fine, phantom, T), [pushed(T, np.random.default_rng(2), 0.5, 3.0)])
+    same = refiner.score(features(fine, phantom, T), found)
+    other = refiner.score(features(fine, phantom, fine.T_kidney_camera[30]), found)
+    assert same == pytest.approx(found.score, abs=0.02) and other < 0.5 * same
+
+
 def test_the_pose_never_leaves_the_lumen(fine: Vid, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
     settings = RefinementSettings(hypotheses=1, fine_rounds=1, clearance_mm=0.8)
     refiner, rng = Refiner(fine, settings, phantom_lumen), np.random.default_rng(5)

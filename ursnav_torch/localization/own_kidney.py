@@ -1,8 +1,37 @@
 """Whether the pictures show the VID's kidney at all, or another one."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ursnav_torch.localization.track_search import TrackSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one picture says.
+
+    Attributes:
+        score: of the refined pose, for the picture as it was taken: what was learned as the scope's pattern makes
+            pictures of another kidney fit, too.
+        lead: by how much the views at that pose fit better than those anywhere else.
+        fit: of the best view; where it is high there is much to be seen, and a true pose aligns well.
+        off: standard deviations by which the pose misses the sensor's reading, None without one.
+    """
+
+    score: float
+    lead: float
+    fit: float
+    off: float | None = None
+
+    def log_odds(self, settings: TrackSettings) -> float:
+        """That the picture shows the VID's kidney, within what a single picture may count."""
+        s = settings
+        constant, score, lead, fit = s.own_kidney
+        odds = constant + score * self.score + lead * self.lead + fit * self.fit
+        if self.off is not None:
+            odds += float(np.clip(s.own_sensor - self.off, -s.most, s.most))
+        return float(np.clip(odds, -s.most, s.most_gain))
 
 
 class OwnKidneyTest:
@@ -16,21 +45,10 @@ class OwnKidneyTest:
         self._settings = settings
         self.trust = 0.0
 
-    def add(self, score: float, agree: float, off: float | None, seconds: float) -> None:
-        """Weigh one picture.
-
-        Args:
-            score: of the refined pose, for the picture as it was taken: what was learned as the scope's pattern makes
-                pictures of another kidney fit, too.
-            agree: share of the hypotheses' probability that agrees with that pose.
-            off: standard deviations by which the pose misses the sensor's reading, if there is one.
-            seconds: since the picture before.
-        """
+    def add(self, evidence: Evidence, seconds: float) -> None:
+        """Weigh one picture, taken some seconds after the one before."""
         s = self._settings
-        odds = s.own_kidney[0] + s.own_kidney[1] * score + s.own_kidney[2] * agree
-        if off is not None:
-            odds += float(np.clip(s.own_sensor - off, -s.most, s.most))
-        gain = float(np.clip(odds, -s.most, s.most_gain)) * min(seconds, 4 * s.usual_s) / s.usual_s
+        gain = evidence.log_odds(s) * min(seconds, 4 * s.usual_s) / s.usual_s
         self.trust = float(np.clip(self.trust + gain, -s.debt, s.credit))
 
     @property

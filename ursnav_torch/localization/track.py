@@ -18,7 +18,7 @@ from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, Ed
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization.consensus import are_near
 from ursnav_torch.localization.motion import Hypotheses, MotionSettings, transition
-from ursnav_torch.localization.own_kidney import OwnKidneyTest
+from ursnav_torch.localization.own_kidney import Evidence, OwnKidneyTest
 from ursnav_torch.localization.pattern import ScopePattern
 from ursnav_torch.localization.pursuit import Pursuit, Weighed
 from ursnav_torch.localization.refine import Prior, RefinementSettings, Refiner
@@ -46,6 +46,7 @@ class Tracked:
         seconds: from picture to answer.
         T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
             showed nothing.
+        evidence: what the picture said on whether this is the kidney; None likewise.
     """
 
     state: str
@@ -56,6 +57,7 @@ class Tracked:
     score: float
     seconds: float
     T_aligned: Array | None = None
+    evidence: Evidence | None = None
 
 
 class Tracker:
@@ -170,17 +172,17 @@ class Tracker:
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         self._remember(found, refined.T_kidney_camera, t_s)
         plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
-        self._judge(refined.T_kidney_camera, plain, found, passed, sensor)
+        evidence = self._judge(picture, refined.T_kidney_camera, plain, passed)
         if self._state != TRACKING:
             self._smooth.reset()
             spent = time.perf_counter() - start
-            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera)
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera, evidence)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
         confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
-        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera)
+        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence)
 
     def _by_motion(self, seconds: float) -> Prior:
         """What motion since the picture before says of poses, in units of the alignment's score."""
@@ -203,12 +205,16 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _judge(self, T: Array, score: float, found: Hypotheses, seconds: float, sensor: SensorReading | None) -> None:
-        """The state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
-        agree = float(found.weight[self._near(found.T_kidney_camera, T)].sum())
-        self._test.add(score, agree, None if sensor is None else float(sensor.off(T[None])[0]), seconds)
+    def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> Evidence:
+        """Settle the state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
+        near = self._near(picture.found.T_kidney_camera, T)
+        here, elsewhere = (float(picture.fits[at].max(initial=0.0)) for at in (near, ~near))
+        off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
+        evidence = Evidence(score, here - elsewhere, max(here, elsewhere), off)
+        self._test.add(evidence, seconds)
         if self._test.verdict is not None:
             self._state = TRACKING if self._test.verdict else LOST
+        return evidence
 
     def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
         """Which poses (K, 4, 4) are one place with another."""
