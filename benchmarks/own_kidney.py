@@ -117,9 +117,9 @@ def _fit(report: Report, flights: list[Flight]) -> None:
     for name, weights in (("fitted", found.tolist()), ("in use", list(used))):
         rank = rankdata(x @ np.array(weights))
         auroc = (rank[y].sum() - y.sum() * (y.sum() + 1) / 2) / (y.sum() * (~y).sum())
-        report.add(f"weights {name}", "AUROC of a picture", "", [float(auroc)], n=len(y))
+        report.add(f"weights {name}", "AUROC of a picture", "of 1", [float(auroc)], n=len(y))
         for what, value in zip(("constant", "score", "lead", "fit"), weights, strict=True):
-            report.add(f"weights {name}", what, "", [value], n=len(y))
+            report.add(f"weights {name}", what, "log-odds", [value], n=len(y))
 
 
 if __name__ == "__main__":

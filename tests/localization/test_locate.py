@@ -1,11 +1,14 @@
 """Where a picture was taken, and the conventions of the answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.geometry import angle_between, look_along, rotation_angle, transform_from
 from ursnav_torch.localization import LocalizationSettings, Localizer
+from ursnav_torch.localization.refine import Refiner
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 
@@ -66,13 +69,29 @@ def test_pictures_between_the_views_are_found_near(localizer: Localizer, vid: Vi
     assert np.mean(right) >= 5 / 6 and np.median(off_mm) < 3 and np.median(off_deg) < 10
 
 
-def test_a_refined_pose_that_fits_too_badly_is_dropped_for_the_views_own(vid: Vid, picture: np.ndarray) -> None:
-    nearest = Localizer(vid, settings=LocalizationSettings(refine=False)).locate(picture)
-    strict = Localizer(vid, settings=LocalizationSettings(believe_refined=1.1)).locate(picture)
-    assert strict.calyx == nearest.calyx and strict.view == nearest.view
-    np.testing.assert_allclose(strict.T_kidney_camera, nearest.T_kidney_camera)
-    refined = Localizer(vid, settings=LocalizationSettings(believe_refined=-1.0)).locate(picture)
-    assert not np.allclose(refined.T_kidney_camera, nearest.T_kidney_camera)
+def test_a_refined_pose_that_fits_badly_is_met_halfway_by_the_views_own(vid: Vid, picture: np.ndarray) -> None:
+    def pose(**settings: float) -> np.ndarray:
+        return Localizer(vid, settings=LocalizationSettings(**settings)).locate(picture).T_kidney_camera[:3, 3]
+
+    views, sure = pose(refine=False), pose(believe_refined=-1.0, sure_refined=-1.0)
+    assert not np.allclose(views, sure)
+    for doubtful in (pose(sure_refined=1.1), pose(believe_refined=1.1, sure_refined=1.1)):
+        np.testing.assert_allclose(doubtful, (views + sure) / 2, atol=1e-6)
+
+
+def test_a_refined_pose_that_contradicts_the_votes_must_fit_better(
+    vid: Vid, picture: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = Localizer(vid, settings=LocalizationSettings(refine=False)).locate(picture)
+    other = next(i for i, calyx in enumerate(vid.calyx.tolist()) if calyx not in (plain.calyx, -1))
+    asked = Localizer(vid)
+    features, refiner = asked.features(picture), Refiner(vid)
+    for score, calyx in ((0.69, plain.calyx), (0.71, int(vid.calyx[other]))):  # on either side of 0.6 + 0.1
+        elsewhere = replace(refiner.refine(features, [vid.T_kidney_camera[other]]), score=score)
+        elsewhere = replace(elsewhere, T_kidney_camera=vid.T_kidney_camera[other])
+        monkeypatch.setattr(Refiner, "refine", lambda self, *given, elsewhere=elsewhere: elsewhere)
+        assert asked.locate(picture).calyx == calyx
+        monkeypatch.undo()
 
 
 def test_neither_color_nor_exposure_matters(localizer: Localizer, picture: np.ndarray) -> None:

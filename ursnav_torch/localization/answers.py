@@ -82,7 +82,8 @@ class Judgement:
         calyx: the answer.
         voted: the calyx that the nearest views vote for.
         numbers: what confidence is computed from, see `confidence.Evidence`.
-        refined: the refined pose, None where refinement is off or its drawing fits too badly.
+        refined: the refined pose, None where refinement is off.
+        believed: whether its drawing fits well enough to say which place it is.
     """
 
     ranking: Ranking
@@ -92,3 +93,4 @@ class Judgement:
     voted: int
     numbers: Array
     refined: Refined | None
+    believed: bool

@@ -81,11 +81,11 @@ class Localizer:
         candidates = tuple(
             Candidate(int(found.ranking.views[i]), float(found.ranking.distance[i]), found.poses[i]) for i in rows
         )
-        best, refined = candidates[0], found.refined
+        best = candidates[0]
         return Location(
             found.calyx,
             self.vid.calyx_name(found.calyx),
-            self._mean(found.poses, found.ranking.distance, rows[0]) if refined is None else refined.T_kidney_camera,
+            self._settled(found, rows[0]),
             best.view,
             best.distance,
             confidence,
@@ -101,14 +101,15 @@ class Localizer:
         poses, calyces = self._poses(ranking), self.calyces(ranking)
         seen = evidence(ranking.distance, calyces, features)
         if self._refiner is None:
-            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, seen.numbers(), None)
+            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, seen.numbers(), None, False)
         rows = _apart(poses, self._refiner.settings.hypotheses)
         refined = self._refiner.refine(features, [self._mean(poses, ranking.distance, i) for i in rows])
         calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
-        if refined.score < self.settings.believe_refined + (CONTRADICTION if calyx != seen.calyx else 0.0):
-            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, numbers, None)
-        return Judgement(ranking, poses, calyces, calyx, seen.calyx, numbers, refined)
+        needed = self.settings.believe_refined + (CONTRADICTION if calyx != seen.calyx else 0.0)
+        believed = refined.score >= needed
+        answer = calyx if believed else seen.calyx
+        return Judgement(ranking, poses, calyces, answer, seen.calyx, numbers, refined, believed)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture, as `locate` extracts them; the same errors."""
@@ -153,9 +154,19 @@ class Localizer:
         weight = np.exp((float(distance[row]) - distance.numpy().astype(float)) / VOTE_WIDTH)
         return mean_pose(poses, weight, row, NEAR_MM * self.vid.kidney.scale)[0]
 
+    def _settled(self, found: Judgement, row: int) -> Array:
+        """The answer's pose (4, 4), from the refined one and the views' mean at the place of one of them."""
+        views, refined = self._mean(found.poses, found.ranking.distance, row), found.refined
+        if refined is None:
+            return views
+        if found.believed and refined.score >= self.settings.sure_refined:
+            return refined.T_kidney_camera
+        both = np.stack([views, refined.T_kidney_camera])
+        return mean_pose(both, np.ones(2), int(found.believed), NEAR_MM * self.vid.kidney.scale)[0]
+
     def _best(self, found: Judgement) -> list[int]:
         """Rows of the ranking to name: first the nearest to the refined pose or the best of the calyx, then by rank."""
-        if found.refined is not None:
+        if found.refined is not None and found.believed:
             away = np.linalg.norm(found.poses[:, :3, 3] - found.refined.T_kidney_camera[:3, 3], axis=1)
             first = int((away + 0.15 * np.degrees(rotation_angle(found.poses, found.refined.T_kidney_camera))).argmin())
         else:

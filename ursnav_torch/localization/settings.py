@@ -31,8 +31,10 @@ class LocalizationSettings:
         candidates: views that the scan passes on to shape matching.
         keep: candidates named in the answer.
         refine: whether the pose is refined beyond the nearest view.
-        believe_refined: a refined pose whose score (see `Refined`) is lower is dropped for the mean of the nearest
-            views: on simulated pictures of phantoms it is then no better, and at times far off.
+        believe_refined: a refined pose whose score (see `Refined`) is lower has no say which place it is: it is
+            at times far off.
+        sure_refined: one whose score is lower is no better than the mean of the nearest views, and errs otherwise:
+            where both are one place, the pose between them is the answer.
         accept: a confidence below this is "unsure".
     """
 
@@ -46,6 +48,7 @@ class LocalizationSettings:
     keep: int = 5
     refine: bool = True
     believe_refined: float = 0.6
+    sure_refined: float = 0.65
     accept: float = 0.5
 
     def __post_init__(self) -> None:
