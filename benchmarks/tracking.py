@@ -27,9 +27,10 @@ from benchmarks._kidneys import vid_of
 from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
-from ursnav_torch.geometry import look_along, rotation_angle, transform_from_quaternion
+from ursnav_torch.geometry import look_along, transform_from_quaternion
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney, observed_calyx
 from ursnav_torch.localization.coverage import Coverage
+from ursnav_torch.localization.metrics import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
 from ursnav_torch.localization.track_offline import follow_both_ways
 from ursnav_torch.localization.track_search import SensorReading
@@ -104,18 +105,25 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     for pose in T[: len(answers)]:
         truth.add(pose, 0.1)
     on = np.array([a.state == TRACKING for a in answers])
-    poses = np.array([a.T_kidney_camera if a.T_kidney_camera is not None else np.eye(4) for a in answers])
-    apart = np.linalg.norm(poses[:, :3, 3] - T[: len(on), :3, 3], axis=1)
-    turned = np.degrees(rotation_angle(poses, T[: len(on)]))
+    poses = np.array([np.full((4, 4), np.nan) if a.T_kidney_camera is None else a.T_kidney_camera for a in answers])
+    errors = pose_errors(poses, T[: len(on)])
+    apart = errors.position_mm
     labeled = [i for i, name in enumerate(exploration.calyx[: len(on)]) if name]
     right = [vid.calyx_name(answers[i].calyx) == exploration.calyx[i] for i in labeled]
     report.add(group, "right calyx, of pictures that have one", "%", [100 * float(np.mean(right))], n=len(right))
     report.add(group, "position", "mm", apart[on].tolist())
     report.add(group, "position, 90th percentile", "mm", [float(np.percentile(apart[on], 90))], n=int(on.sum()))
-    report.add(group, "rotation", "deg", turned[on].tolist())
+    report.add(group, "direction", "deg", np.degrees(errors.direction[on]).tolist())
+    report.add(group, "roll", "deg", np.degrees(errors.roll[on]).tolist())
+    report.add(group, "needle, 10 mm ahead", "mm", errors.needle_mm[on].tolist())
+    report.add(group, "absolute trajectory error", "mm", [trajectory_error_mm(errors)], n=int(on.sum()))
+    report.add(group, "jitter", "mm", [jitter_mm(poses, T[: len(on)])], n=int(on.sum()))
+    for within in (5.0, 10.0):
+        report.add(group, f"known to {within:g} mm, of all pictures", "%", [100 * success(errors, within)], n=len(on))
+    report.add(group, "pictures in a row before a loss", "pictures", [frames_to_loss(errors)], n=len(on))
     report.add(group, "not tracking", "%", [100 * float(1 - on.mean())], n=len(on))
     report.add(group, "tracking, yet more than 5 mm off", "%", [100 * float((apart[on] > 5).mean())], n=int(on.sum()))
-    astray = [length / 10 for length in _runs(~on | (apart > 5))]
+    astray = [length / 10 for length in _runs(~(apart <= 5))]
     report.add(group, "longest time astray", "s", [max(astray, default=0.0)])
     if astray:
         report.add(group, "time to find back, or to find the first place", "s", astray)
