@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.errors import DeviceTimeoutError, InputError
+from ursnav_torch.files import write_csv
 from ursnav_torch.geometry import look_along
 from ursnav_torch.hardware import Camera, Frame
 from ursnav_torch.hardware.base import SourceAtEndError, Stamp
@@ -21,18 +22,24 @@ from ursnav_torch.localization.track import Tracker
 from ursnav_torch.localization.track_video import TRACK_COLUMNS, Moment, Source, open_source
 from ursnav_torch.registration import Registration
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.vid import Vid
+from ursnav_torch.vid import POSE_COLUMNS, Vid, pose_cells
 from ursnav_torch.viewer.tracked import camera_source, track_source
 
 Run = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def pictures(phantom: Kidney, renderer: RaycastRenderer) -> list[np.ndarray]:
-    """Eight pictures on the way into the first calyx."""
+def poses(phantom: Kidney) -> np.ndarray:
+    """(8, 4, 4) on the way into the first calyx."""
     points = phantom.centerline.points_mm[phantom.centerline.path_to(0)]
     at = points[-16:-8]
-    return [renderer.render(T).image for T in look_along(at, points[-8:] - at)]
+    return look_along(at, points[-8:] - at)
+
+
+@pytest.fixture(scope="module")
+def pictures(poses: np.ndarray, renderer: RaycastRenderer) -> list[np.ndarray]:
+    """What is seen on that way."""
+    return [renderer.render(T).image for T in poses]
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +92,25 @@ def test_a_folder_gives_rows_coverage_and_a_picture(run: Run, vid: Vid, folder: 
     assert again.code == 1 and "overwrite=true" in again.err
 
 
-def test_a_recording_can_be_tracked_with_hindsight(run: Run, vid: Vid, folder: Path, tmp_path: Path) -> None:
-    done = run("track", f"vid={vid.folder}", f"source={folder}", f"out={tmp_path / 'a.csv'}", "offline=true")
+def test_a_recording_is_tracked_with_hindsight_scored_and_exported(
+    run: Run, vid: Vid, folder: Path, poses: np.ndarray, tmp_path: Path
+) -> None:
+    truth = tmp_path / "truth.csv"
+    write_csv(truth, ("calyx", *POSE_COLUMNS), [{"calyx": ""} | cells for cells in pose_cells(poses)])
+    arguments = [f"vid={vid.folder}", f"source={folder}", "offline=true", "tum=true"]
+    done = run("track", *arguments, f"out={tmp_path / 'a.csv'}", f"truth={truth}")
     assert done.code == 0, done.err
-    assert "8 pictures: 8 tracking" in done.out
+    assert "8 pictures: 8 tracking" in done.out and "position_mm" in done.out
     assert {row["state"] for row in read(tmp_path / "a.csv")} == {"tracking"}
+    score = json.loads((tmp_path / "a.score.json").read_text())
+    assert score["pictures"] == 8 and score["not_tracking"] == 0 and score["position_mm"] < 1.0
+    assert score["right_calyx"] is None and score["within_5_mm"] == 1.0
+    assert len((tmp_path / "a.tum").read_text().splitlines()) == 8
+    truth.write_text("".join(truth.read_text().splitlines(keepends=True)[:5]))
+    short = run("track", *arguments, f"out={tmp_path / 'b.csv'}", f"truth={truth}")
+    assert short.code == 1 and "the truth has 4 rows" in short.err
+    missing = run("track", *arguments, f"out={tmp_path / 'c.csv'}", "truth=nowhere.csv")
+    assert missing.code == 1 and "no truth file" in missing.err and not (tmp_path / "c.csv").exists()
 
 
 def test_a_video_and_em_samples(run: Run, vid: Vid, video: Path, tmp_path: Path) -> None:
