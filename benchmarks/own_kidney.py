@@ -21,6 +21,7 @@ from scipy.stats import rankdata
 from benchmarks._results import Report, overrides
 from benchmarks.tracking import fly
 from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
@@ -53,6 +54,8 @@ class Flight:
 def main(arguments: list[str]) -> None:
     """Fly, fit, print."""
     settings = overrides(SETTINGS, arguments)
+    if settings["phantoms"] < 3:
+        raise InputError(f"phantoms={settings['phantoms']} leaves no two others for each; ask for 3 or more.")
     report = Report("own_kidney", {k: v for k, v in settings.items() if k not in ("work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)

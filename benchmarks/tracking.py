@@ -85,7 +85,7 @@ def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]], offli
                 _judge(report, vid, exploration, f"{exploration.name}, offline", follow_both_ways)
     for (vid, _), (_, others) in zip(cases, cases[1:] + cases[:1], strict=True):
         if len(cases) > 1:
-            _judge_other(report, vid, others[0])
+            _judge_other(report, vid, others[0], offline)
 
 
 def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follow: Follow) -> None:
@@ -137,12 +137,13 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     report.add(group, "time a picture, 95th percentile", "ms", [float(np.percentile(times, 95))], n=len(times))
 
 
-def _judge_other(report: Report, vid: Vid, exploration: Exploration) -> None:
+def _judge_other(report: Report, vid: Vid, exploration: Exploration, offline: bool) -> None:
     """Pictures of another kidney: how much is believed, and how it ends."""
-    tracker = Tracker(vid)
-    states = [tracker.step(m.image, m.t_s).state for m in exploration.moments()]
-    group = f"{exploration.name} in another kidney's VID"
-    report.add(group, "tracking", "%", [100 * states.count(TRACKING) / len(states)], f"ends {states[-1]}", len(states))
+    source = Source(exploration.moments, len(exploration.T_kidney_camera), exploration.name)
+    for what, follow in (("tracking", follow_source), ("tracking, offline", follow_both_ways))[: 1 + offline]:
+        states = [answer.state for _, answer in follow(Tracker(vid), source)]
+        group, share = f"{exploration.name} in another kidney's VID", 100 * states.count(TRACKING) / len(states)
+        report.add(group, what, "%", [share], f"ends {states[-1]}", len(states))
 
 
 def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures: int) -> None:

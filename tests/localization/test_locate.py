@@ -90,7 +90,10 @@ def test_a_refined_pose_that_contradicts_the_votes_must_fit_better(
         elsewhere = replace(refiner.refine(features, [vid.T_kidney_camera[other]]), score=score)
         elsewhere = replace(elsewhere, T_kidney_camera=vid.T_kidney_camera[other])
         monkeypatch.setattr(Refiner, "refine", lambda self, *given, elsewhere=elsewhere: elsewhere)
-        assert asked.locate(picture).calyx == calyx
+        found = asked.locate(picture)
+        assert found.calyx == calyx
+        there = np.linalg.norm(found.T_kidney_camera[:3, 3] - vid.T_kidney_camera[other, :3, 3])
+        assert (there < 1e-6) == (calyx != plain.calyx)  # far from each other, the one or the other, nothing between
         monkeypatch.undo()
 
 

@@ -95,6 +95,14 @@ def test_a_scope_put_elsewhere_is_found_within_two_seconds(
     assert answers[-1].state == TRACKING and answers[-1].calyx == 5
 
 
+def test_what_motion_forbids_is_held_against_a_pose(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    poses = flight(phantom, 2)
+    assert not fresh._by_motion(0.1)(poses).any()  # before the first picture nothing is known
+    follow(fresh, renderer, poses)
+    near, far, elsewhere = fresh._by_motion(0.1)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
+    assert near == 0.0 > far > elsewhere >= -fresh.settings.better_by
+
+
 def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
     pose, offset = flight(phantom, 3)[-1], np.array([0.0, 1.2, -4.0])
     sensor = SensorReading(pose[:3, :3] @ offset + pose[:3, 3], offset, 0.5)

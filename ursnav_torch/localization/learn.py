@@ -96,11 +96,11 @@ def learn_confidence(
                 features = localizer.features(image)
             except FeatureError:
                 continue
-            found.append(localizer.judge(features))
+            judged = localizer.judge(features)
+            found.append((judged.numbers, judged.calyx, judged.voted))
             shown.append(calyx)
             far.append(lumen.to_calyces(T[:3, 3])[0, calyx] if calyx >= 0 else np.nan)
-    numbers, answered = np.array([f.numbers for f in found]), np.array([f.calyx for f in found])
-    voted = np.array([f.voted for f in found])
+    numbers, answered, voted = (np.array(column) for column in zip(*found, strict=True))
     nearest = numbers[:, :-REFINED_NUMBERS] if localizer.refines else numbers
     right = np.array(shown) == answered
     look_alikes = find_look_alikes(np.array(shown), answered, np.array(far), len(vid.kidney.calyces))

@@ -92,7 +92,7 @@ class Pursuit:
             picture: the picture.
             anew: look for the track among all hypotheses.
         """
-        s, (T, _) = self._settings, place(picture.found, self._settings, self._unit)
+        s, T = self._settings, place(picture.found, self._settings, self._unit)
         if anew or self._own is None or self._own.refined.score < s.shaky:
             self._own = _Lead(self._aligned(picture, self._anywhere(picture, T), picture.prior))
             self._rival, self._doubt = None, 0.0

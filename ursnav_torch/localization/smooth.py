@@ -1,6 +1,6 @@
 """Smoothing a track lightly, by the scope's motion alone: a Kalman filter at constant velocity, causal."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
 
 Array = NDArray[np.float64]
+#: How fast a scope may be when it is first seen, mm/s at the kidney's scale 1.
+_FIRST_SPEED = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +52,35 @@ class SmoothSettings:
         return F, push, float((np.radians(self.swing_deg_s) * dt) ** 2)
 
 
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is believed of a moving camera at one time.
+
+    Attributes:
+        state: (2, 3) position and velocity.
+        covariance: (2, 2) of the two, the same along each axis.
+        R: (3, 3) rotation.
+        turn_variance: of the rotation, about each axis, square radians.
+        at_s: the time.
+    """
+
+    state: Array
+    covariance: Array
+    R: Array
+    turn_variance: float
+    at_s: float
+
+    def pose(self) -> Array:
+        """(4, 4)."""
+        return transform_from(self.R, self.state[0])
+
+
 class PoseFilter:
-    """Position and velocity by a Kalman filter, one for all axes; rotation by the gain that its own noise gives."""
+    """Position and velocity by a Kalman filter, one for all axes; rotation by the gain that its own noise gives.
+
+    Attributes:
+        belief: what is believed now, None before the first pose.
+    """
 
     def __init__(self, settings: SmoothSettings | None = None, unit: float = 1.0) -> None:
         self.settings, self._unit = settings or SmoothSettings(), unit
@@ -59,43 +88,43 @@ class PoseFilter:
 
     def reset(self) -> None:
         """Forget the track."""
-        self._state: Array | None = None  # (2, 3) position and velocity
-        self._covariance, self._turn_variance = np.zeros((2, 2)), 0.0
-        self._R, self._at_s = np.eye(3), 0.0
+        self.belief: Belief | None = None
 
     def predict(self, t_s: float) -> Array | None:
         """Pose (4, 4) at a later time, as far as motion tells; None before the first pose."""
-        if self._state is None:
+        b = self.belief
+        if b is None:
             return None
-        F, push, swing = self.settings.motion(max(t_s - self._at_s, 0.0), self._unit)
-        self._state, self._covariance = F @ self._state, F @ self._covariance @ F.T + push
-        self._turn_variance += swing
-        self._at_s = t_s
-        return transform_from(self._R, self._state[0])
+        F, push, swing = self.settings.motion(max(t_s - b.at_s, 0.0), self._unit)
+        self.belief = Belief(F @ b.state, F @ b.covariance @ F.T + push, b.R, b.turn_variance + swing, t_s)
+        return self.belief.pose()
 
     def update(self, T_kidney_camera: Array, t_s: float, score: float) -> Array:
         """The smoothed pose (4, 4) after a pose measured at ``t_s`` with an alignment score."""
         sigma, turn = self.settings.noise(score, self._unit)
         if self.predict(t_s) is None:
-            self._state = np.stack([T_kidney_camera[:3, 3], np.zeros(3)])
-            self._covariance = np.diag([sigma, 5.0 * self._unit]) ** 2
-            self._R, self._turn_variance, self._at_s = T_kidney_camera[:3, :3].copy(), turn**2, t_s
+            state = np.stack([T_kidney_camera[:3, 3], np.zeros(3)])
+            covariance = np.diag([sigma, _FIRST_SPEED * self._unit]) ** 2
+            self.belief = Belief(state, covariance, T_kidney_camera[:3, :3].copy(), turn**2, t_s)
         else:
             self.measure(T_kidney_camera[:3, 3], sigma)
-            gain = self._turn_variance / (self._turn_variance + turn**2)
-            turned = Rotation.from_matrix(self._R.T @ T_kidney_camera[:3, :3]).as_rotvec()
-            self._R = self._R @ Rotation.from_rotvec(gain * turned).as_matrix()
-            self._turn_variance *= 1 - gain
+            b = self.belief
+            assert b is not None
+            gain = b.turn_variance / (b.turn_variance + turn**2)
+            turned = Rotation.from_matrix(b.R.T @ T_kidney_camera[:3, :3]).as_rotvec()
+            R = b.R @ Rotation.from_rotvec(gain * turned).as_matrix()
+            self.belief = replace(b, R=R, turn_variance=(1 - gain) * b.turn_variance)
         return self.pose()
 
     def measure(self, position_mm: Array, sigma_mm: float) -> None:
         """Take in a position (3,) at the time of the last prediction or update."""
-        assert self._state is not None
-        gain = self._covariance[:, 0] / (self._covariance[0, 0] + sigma_mm**2)
-        self._state = self._state + gain[:, None] * (position_mm - self._state[0])
-        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
+        b = self.belief
+        assert b is not None
+        gain = b.covariance[:, 0] / (b.covariance[0, 0] + sigma_mm**2)
+        state = b.state + gain[:, None] * (position_mm - b.state[0])
+        self.belief = replace(b, state=state, covariance=b.covariance - np.outer(gain, b.covariance[0]))
 
     def pose(self) -> Array:
         """(4, 4) the present pose."""
-        assert self._state is not None
-        return transform_from(self._R, self._state[0])
+        assert self.belief is not None
+        return self.belief.pose()

@@ -208,7 +208,8 @@ class Tracker:
     def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> Evidence:
         """Settle the state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
         near = self._near(picture.found.T_kidney_camera, T)
-        here, elsewhere = (float(picture.fits[at].max(initial=0.0)) for at in (near, ~near))
+        worst = float(picture.fits.min())  # what was not kept fits no better
+        here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
         off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
         evidence = Evidence(score, here - elsewhere, max(here, elsewhere), off)
         self._test.add(evidence, seconds)
@@ -228,11 +229,10 @@ class Tracker:
                 return expected
             self._smooth.reset()
         T = self._smooth.update(T, t_s, score)
-        if sensor is not None:
-            at = sensor.position_mm - T[:3, :3] @ sensor.offset_camera_mm
-            if np.linalg.norm(at - T[:3, 3]) <= 4 * sensor.sigma_mm:
-                self._smooth.measure(at, sensor.sigma_mm)
-                T = self._smooth.pose()
+        at = None if sensor is None else sensor.camera_at(T)
+        if sensor is not None and at is not None:
+            self._smooth.measure(at, sensor.sigma_mm)
+            T = self._smooth.pose()
         return T
 
     def _bridge(self, t_s: float, start: float) -> Tracked:

@@ -5,6 +5,7 @@ pictures into account.
 """
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -62,9 +63,9 @@ def follow_both_ways(
     there: list[_Followed] = []
     try:
         with tempfile.TemporaryFile() as spool:
-            for moment, features, _ in extracted(tracker, source):
-                reading = sensor(moment) if sensor else None
-                answer = tracker.follow(features, moment.t_s, reading)
+            for moment, features, spent in extracted(tracker, source):
+                start, reading = time.perf_counter() - spent, sensor(moment) if sensor else None
+                answer = tracker.follow(features, moment.t_s, reading, start)
                 if features is not None:
                     spool.write(features.fields[0].numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
@@ -75,11 +76,11 @@ def follow_both_ways(
                 t_s = 2 * there[-1].moment.t_s - step.moment.t_s
                 back.append(tracker.follow(features, t_s, step.reading))
                 advance(1)
+        forward, times = [step.answer for step in there], [step.moment.t_s for step in there]
+        answers = join(forward, back[::-1], times, tracker, [step.reading for step in there])
     except KeyboardInterrupt:
         yield from ((step.moment, step.answer) for step in there)
         raise
-    answers = join([step.answer for step in there], back[::-1], [step.moment.t_s for step in there], tracker,
-                   [step.reading for step in there])  # fmt: skip
     yield from zip((step.moment for step in there), answers, strict=True)
 
 
@@ -93,30 +94,44 @@ def join(
     """One answer a picture from the answers of both ways, in the order of the pictures.
 
     The way back has seen everything before it judges a picture, so its word counts whether this is the kidney. Of two
-    poses the better aligned counts, weighed against the motion it asks for (Viterbi's algorithm); poses that agree
-    are averaged; then all are smoothed.
+    poses the better aligned counts, weighed against the motion it asks for and the sensor's word (Viterbi's
+    algorithm); poses that agree are averaged; then all are smoothed.
     """
     answers = []
     for f, b in zip(forward, backward, strict=True):
         seen = b if b.state == TRACKING or not (f.state == TRACKING and b.state == SEARCHING) else f
         answers.append(replace(seen, seconds=f.seconds + b.seconds))
     for start, stop in _stretches([a.state == TRACKING for a in answers]):
-        measured = _chosen(forward[start:stop], backward[start:stop], t_s[start:stop], tracker)
-        measured = [_with_sensor(m, r) for m, r in zip(measured, readings[start:stop], strict=True)]
-        for first, last in _unbroken(measured, tracker):
-            unit = tracker.vid.kidney.scale
-            poses = smooth_stretch(measured[first:last], t_s[start + first : start + last], tracker.smoothing, unit)
-            calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen)
-            for i, pose, calyx in zip(range(start + first, start + last), poses, calyces.tolist(), strict=True):
-                ways = [a.confidence if a.calyx == calyx else 0.0 for a in (forward[i], backward[i]) if _on(a)]
-                answers[i] = replace(
-                    answers[i], T_kidney_camera=pose, calyx=calyx, confidence=float(np.mean(ways)),
-                )  # fmt: skip
+        here = slice(start, stop)
+        measured = _chosen(forward[here], backward[here], t_s[here], tracker, readings[here])
+        if not any(measured):  # bridged from a place that hindsight does not believe
+            answers[here] = [
+                replace(a, state=SEARCHING, T_kidney_camera=None, calyx=-1, confidence=0.0) for a in answers[here]
+            ]
+        for first, last in _unbroken(measured, t_s[here], tracker):
+            ways = list(zip(forward, backward, strict=True))[start + first : start + last]
+            stretch = slice(start + first, start + last)
+            answers[stretch] = _smoothed(answers[stretch], ways, measured[first:last], t_s[stretch], tracker)
     return answers
 
 
-def _on(answer: Tracked) -> bool:
-    return answer.state == TRACKING
+def _smoothed(
+    answers: Sequence[Tracked],
+    ways: Sequence[tuple[Tracked, Tracked]],
+    measured: Sequence[Measured | None],
+    t_s: Sequence[float],
+    tracker: Tracker,
+) -> list[Tracked]:
+    """The answers of one unbroken stretch at their smoothed poses; confidence is the mean of what both ways had."""
+    poses = smooth_stretch(measured, t_s, tracker.smoothing, tracker.vid.kidney.scale)
+    calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen).tolist()
+    result = []
+    for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
+        believed = [a for a in both if a.state == TRACKING]
+        agree = [a.confidence if a.calyx == calyx else 1 - a.confidence for a in believed]
+        moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)))
+        result.append(moved if m is None else replace(moved, score=m.score, T_aligned=m.T_kidney_camera))
+    return result
 
 
 def _recalled(tracker: Tracker, there: Sequence[_Followed], spool: IO[bytes]) -> Iterator[Features | None]:
@@ -135,7 +150,11 @@ def _recalled(tracker: Tracker, there: Sequence[_Followed], spool: IO[bytes]) ->
 
 
 def _chosen(
-    forward: Sequence[Tracked], backward: Sequence[Tracked], t_s: Sequence[float], tracker: Tracker
+    forward: Sequence[Tracked],
+    backward: Sequence[Tracked],
+    t_s: Sequence[float],
+    tracker: Tracker,
+    readings: Sequence[SensorReading | None],
 ) -> list[Measured | None]:
     """Of both ways' poses the more probable sequence; None where a picture showed nothing."""
     shown = [i for i, f in enumerate(forward) if f.T_aligned is not None and backward[i].T_aligned is not None]
@@ -147,6 +166,10 @@ def _chosen(
     to_tips = tracker.lumen.to_calyces(poses[:, :, :3, 3].reshape(-1, 3)).reshape(len(shown), 2, -1)
     settings, unit = tracker.settings, tracker.vid.kidney.scale
     best, came = scores / settings.motion_weight, np.zeros(scores.shape, int)
+    for k, i in enumerate(shown):
+        reading = readings[i]
+        if reading is not None:
+            best[k] += reading.log_probability(poses[k])
     for k in range(1, len(shown)):
         seconds = max(t_s[shown[k]] - t_s[shown[k - 1]], 1e-3)
         steps = [
@@ -163,34 +186,28 @@ def _chosen(
     for k in range(len(shown) - 1, -1, -1):
         near = bool(are_near(poses[k, 1 - at, None], poses[k, at], settings.near_mm * unit, settings.near_deg)[0])
         weight = np.array([tracker.smoothing.noise(float(score), unit)[0] ** -2 for score in scores[k]])
-        pose = mean_pose(poses[k], weight, at, settings.near_mm * unit)[0] if near else poses[k, at]
-        result[shown[k]] = Measured(pose, float(scores[k, at]))
+        pose = mean_pose(poses[k], weight, at, settings.near_mm * unit, settings.near_deg)[0] if near else poses[k, at]
+        reading = readings[shown[k]]
+        place = None if reading is None else reading.camera_at(pose)
+        besides = () if reading is None or place is None else ((place, reading.sigma_mm),)
+        result[shown[k]] = Measured(pose, float(scores[k, at]), besides)
         at = int(came[k, at])
     return result
 
 
-def _with_sensor(measured: Measured | None, reading: SensorReading | None) -> Measured | None:
-    """The sensor's word beside the picture's, where the two do not contradict each other."""
-    if measured is None or reading is None:
-        return measured
-    T = measured.T_kidney_camera
-    at = reading.position_mm - T[:3, :3] @ reading.offset_camera_mm
-    if np.linalg.norm(at - T[:3, 3]) > 4 * reading.sigma_mm:
-        return measured
-    return replace(measured, positions=((at, reading.sigma_mm),))
-
-
-def _unbroken(measured: list[Measured | None], tracker: Tracker) -> list[tuple[int, int]]:
+def _unbroken(measured: Sequence[Measured | None], t_s: Sequence[float], tracker: Tracker) -> list[tuple[int, int]]:
     """Where tracks begin and end between which the scope jumped, or the pictures were cut; begun by something seen."""
-    s, unit = tracker.settings, tracker.vid.kidney.scale
-    seen = [i for i, m in enumerate(measured) if m is not None]
-    begin = seen[:1]
-    for i, j in pairwise(seen):
-        a, b = measured[i], measured[j]
-        assert a is not None and b is not None
-        if not are_near(a.T_kidney_camera[None], b.T_kidney_camera, 2 * s.near_mm * unit, 2 * s.near_deg)[0]:
+    s, motion, unit = tracker.settings, tracker.motion, tracker.vid.kidney.scale
+    seen = [(i, m) for i, m in enumerate(measured) if m is not None]
+    begin = [i for i, _ in seen[:1]]
+    for (i, a), (j, b) in pairwise(seen):
+        seconds = t_s[j] - t_s[i]
+        far = (2 * s.near_mm + motion.speed_mm_s * seconds) * unit
+        if not are_near(
+            a.T_kidney_camera[None], b.T_kidney_camera, far, min(2 * s.near_deg + motion.turn_deg_s * seconds, 180.0)
+        )[0]:
             begin.append(j)
-    return list(zip(begin, [*begin[1:], len(measured)], strict=True))
+    return list(zip(begin, [*begin[1:], len(measured)][: len(begin)], strict=True))
 
 
 def _stretches(flags: Sequence[bool]) -> list[tuple[int, int]]:

@@ -18,6 +18,8 @@ from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
+#: Log-probability density at which a reading that fits nowhere stops counting.
+_SENSOR_WRONG = -8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,16 @@ class SensorReading:
         at = T_kidney_camera[:, :3, :3] @ self.offset_camera_mm + T_kidney_camera[:, :3, 3]
         return np.linalg.norm(at - self.position_mm, axis=1) / np.hypot(self.sigma_mm, coarse_mm)
 
+    def log_probability(self, T_kidney_camera: Array, coarse_mm: float = 0.0) -> Array:
+        """Of poses (N, 4, 4), up to a constant; a reading that fits nowhere stops counting: the sensor may be wrong."""
+        return np.logaddexp(-0.5 * self.off(T_kidney_camera, coarse_mm) ** 2, _SENSOR_WRONG)
+
+    def camera_at(self, T_kidney_camera: Array) -> Array | None:
+        """Where (3,) the camera is if it looks as in a pose (4, 4); None where that contradicts the pose."""
+        T = T_kidney_camera
+        at = self.position_mm - T[:3, :3] @ self.offset_camera_mm
+        return at if np.linalg.norm(at - T[:3, 3]) <= 4 * self.sigma_mm else None
+
 
 class PlaceSearch:
     """The views of a VID, ready to be weighed against one picture after the other.
@@ -160,23 +172,18 @@ class PlaceSearch:
         if before is not None:
             log = transition(before, T, to_tips, seconds, self.motion, self._unit)
         if sensor is not None:
-            off = sensor.off(T, self.motion.spacing_mm * self._unit)
-            log = log + np.logaddexp(-0.5 * off**2, _SENSOR_WRONG)
+            log = log + sensor.log_probability(T, self.motion.spacing_mm * self._unit)
         return log
 
 
-def place(hypotheses: Hypotheses, settings: TrackSettings, unit: float) -> tuple[Array, float]:
-    """The mean pose (4, 4) of the hypotheses near the best, and their share of the probability."""
+def place(hypotheses: Hypotheses, settings: TrackSettings, unit: float) -> Array:
+    """The mean pose (4, 4) of the hypotheses near the best."""
     weight = hypotheses.weight
     best = int(weight.argmax())
-    return mean_pose(hypotheses.T_kidney_camera, weight, best, settings.near_mm * unit, settings.near_deg)
+    return mean_pose(hypotheses.T_kidney_camera, weight, best, settings.near_mm * unit, settings.near_deg)[0]
 
 
 def _rolled(roll: torch.Tensor, R: Array) -> Array:
     """Transforms (N, 4, 4) that turn by R (3, 3) or (N, 3, 3), then by rolls (N,) about the optical axis."""
     turn = Rotation.from_rotvec(roll.numpy()[:, None] * [0.0, 0.0, 1.0]).as_matrix()
     return transform_from(turn @ R, np.zeros(3))
-
-
-#: Log-probability density at which a reading that fits nowhere stops counting: the sensor may be wrong.
-_SENSOR_WRONG = -8.0

@@ -46,7 +46,7 @@ def track_source(
 ) -> tuple[str, bool]:
     """Track a source; write the rows to ``out`` and what was seen to ``.coverage.json`` and ``.png`` beside it.
 
-    Rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
+    Live rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
     tracked so far.
 
     Args:
@@ -62,7 +62,7 @@ def track_source(
         The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
 
     Raises:
-        InputError: a result stands there already, or the source gives no picture.
+        InputError: a result stands there already, the source gives no picture, or offline is asked of a camera.
     """
     beside = [out.with_suffix(f".coverage.{kind}") for kind in ("json", "png")]
     for path in beside:
@@ -93,6 +93,8 @@ def track_source(
     with whole_file(beside[1], overwrite) as partial:
         partial.write_bytes(cv2.imencode(".png", draw_coverage(coverage))[1].tobytes())
     summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)
+    if interrupted and offline:
+        summary += "\nThe rows are what live tracking answered: the way back was not finished."
     return summary, source.live or not interrupted
 
 
