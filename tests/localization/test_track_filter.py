@@ -97,10 +97,13 @@ def test_a_scope_put_elsewhere_is_found_within_two_seconds(
 
 def test_what_motion_forbids_is_held_against_a_pose(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
     poses = flight(phantom, 2)
-    assert not fresh._by_motion(0.1)(poses).any()  # before the first picture nothing is known
+    assert not fresh._expected(0.1, None)(poses).any()  # before the first picture nothing is known
     follow(fresh, renderer, poses)
-    near, far, elsewhere = fresh._by_motion(0.1)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
+    near, far, elsewhere = fresh._expected(0.1, None)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
     assert near == 0.0 > far > elsewhere >= -fresh.settings.better_by
+    sensor = SensorReading(poses[-8, :3, 3], np.zeros(3), 0.5)
+    told = fresh._expected(0.1, sensor)(np.stack([poses[-1], poses[-8]]))
+    assert told[1] > told[0]
 
 
 def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:

@@ -166,7 +166,7 @@ class Tracker:
         as_taken, features = features, self._pattern.removed(features)
         found, fits = self._search.weigh(features, self._before, passed, sensor)
         fit = float(fits[found.weight.argmax()])
-        picture = Weighed(features, found, fits, self._by_motion(passed), sensor)
+        picture = Weighed(features, found, fits, self._expected(passed, sensor), sensor)
         refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
         if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
@@ -184,15 +184,18 @@ class Tracker:
         spent = time.perf_counter() - start
         return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence)
 
-    def _by_motion(self, seconds: float) -> Prior:
-        """What motion since the picture before says of poses, in units of the alignment's score."""
+    def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
+        """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
         s, before, unit = self.settings, self._before, self.vid.kidney.scale
 
         def prior(T: Array) -> Array:
-            if before is None:
-                return np.zeros(len(T))
-            log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, self.motion, unit)
-            return np.maximum(s.motion_weight * (log - log.max()), -s.better_by)
+            log = np.zeros(len(T))
+            if before is not None:
+                log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, self.motion, unit)
+                log = np.maximum(log - log.max(), -s.better_by / s.motion_weight)
+            if sensor is not None:
+                log = log + sensor.log_probability(T)
+            return s.motion_weight * log
 
         return prior
 

@@ -48,7 +48,8 @@ class TrackSettings:
         own_kidney: constant, and weights of an `Evidence`'s score, lead and fit, in the log-odds that a picture shows
             the VID's kidney and not another: logistic regression over flights through eight phantoms, each in its own
             and in others' VIDs, plus 1 for a right VID being likelier than a wrong one (`benchmarks.own_kidney`).
-        own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney.
+        own_sensor: a sensor's reading that the pose meets within so many standard deviations speaks for this kidney;
+            the alignment's own noise is among them.
         most: a single picture speaks against this kidney no more than this, and for it no more than ``most_gain``.
         believe, give_up: the sum of the log-odds from which on a track is believed, and below minus which it is given
             up.
@@ -76,7 +77,7 @@ class TrackSettings:
     bridge_s: float = 1.0
     usual_s: float = 0.1
     own_kidney: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
-    own_sensor: float = 2.0
+    own_sensor: float = 3.0
     most: float = 1.0
     believe: float = 3.0
     give_up: float = 4.0
