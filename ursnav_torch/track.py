@@ -10,9 +10,8 @@ def main(config: Any) -> int:
     """Instantiate the choices and call `viewer.track_source`."""
     from hydra.utils import instantiate
 
-    from ursnav_torch.files import check_output_file
     from ursnav_torch.localization.track import Tracker
-    from ursnav_torch.localization.track_files import export_tum, read_track, read_truth, score_file
+    from ursnav_torch.localization.track_files import Besides, read_truth
     from ursnav_torch.localization.track_video import open_source
     from ursnav_torch.registration import recorded_readings
     from ursnav_torch.vid import load_vid
@@ -32,14 +31,10 @@ def main(config: Any) -> int:
         sensor = recorded_readings(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
-    for kind in ["tum"] * config.tum + ["score.json"] * (truth is not None):
-        check_output_file(out.with_suffix(f".{kind}"), config.overwrite)
+    besides = Besides(out, truth, config.tum, config.overwrite)
+    besides.check()
     summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline)
-    print(summary)
-    if config.tum:
-        export_tum(read_track(out), out.with_suffix(".tum"), config.overwrite)
-    if truth is not None:
-        print(score_file(out, truth, config.overwrite))
+    print(summary + besides.write())
     return OK if whole else NOT_DONE
 
 

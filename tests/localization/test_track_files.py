@@ -5,7 +5,7 @@ import pytest
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import write_csv
-from ursnav_torch.localization.track_files import Truth, export_tum, read_track, read_truth, score_track
+from ursnav_torch.localization.track_files import Besides, Truth, read_track, read_truth, score_track
 from ursnav_torch.localization.track_video import TRACK_COLUMNS
 from ursnav_torch.vid import POSE_COLUMNS, pose_cells
 
@@ -49,8 +49,10 @@ def test_without_calyces_none_is_scored_and_a_short_truth_is_refused(track: Path
 
 
 def test_only_known_poses_are_exported_in_meters(track: Path, tmp_path: Path) -> None:
-    export_tum(read_track(track), tmp_path / "track.tum", overwrite=False)
+    besides = Besides(track, None, tum=True, overwrite=False)
+    besides.check()
+    assert besides.write() == "" and not list(tmp_path.glob("*.score.json"))
     lines = [[float(v) for v in line.split()] for line in (tmp_path / "track.tum").read_text().splitlines()]
     np.testing.assert_allclose(lines, [[0.1, 0.001, 0, 0, 0, 0, 0, 1], [0.3, 0.01, 0, 0, 0, 0, 0, 1]])
     with pytest.raises(InputError, match="overwrite=true"):
-        export_tum(read_track(track), tmp_path / "track.tum", overwrite=False)
+        besides.check()

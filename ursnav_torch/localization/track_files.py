@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import number, read_csv, whole_file, write_json
+from ursnav_torch.files import check_output_file, number, read_csv, whole_file, write_json
 from ursnav_torch.localization.metrics import (
     frames_to_loss,
     jitter_mm,
@@ -54,12 +54,6 @@ def read_track(path: Path) -> TrackFile:
         T[known] = poses_from_rows([rows[i] for i in known], path)
     t_s, frame = (np.array([number(r, c, path, i + 2) for i, r in enumerate(rows)]) for c in ("t_s", "frame"))
     return TrackFile(frame.astype(np.int64), t_s, T, [r["calyx"] for r in rows], [r["state"] for r in rows])
-
-
-def export_tum(track: TrackFile, path: Path, overwrite: bool) -> None:
-    """Write a track's poses as a TUM trajectory, see `metrics.write_tum`, whole or not at all."""
-    with whole_file(path, overwrite) as partial:
-        write_tum(partial, track.t_s, track.T_kidney_camera)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +109,42 @@ def score_track(track: TrackFile, truth: Truth) -> dict[str, float | int | None]
     return {"pictures": len(track.frame)} | numbers
 
 
-def score_file(out: Path, truth: Truth, overwrite: bool) -> str:
-    """`score_track` of the rows in ``out``, written beside them as ``.score.json``; a line for people."""
-    found = score_track(read_track(out), truth)
-    write_json(out.with_suffix(".score.json"), found, overwrite)
-    return "against the truth: " + ", ".join(
-        f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
-    )
+@dataclass(frozen=True, slots=True)
+class Besides:
+    """What is made of a track's rows, beside them: ``.score.json`` where the truth is known, and ``.tum``."""
+
+    out: Path
+    truth: Truth | None
+    tum: bool
+    overwrite: bool
+
+    def check(self) -> None:
+        """Refuse before the work, not after it.
+
+        Raises:
+            InputError: one of the files stands there already.
+        """
+        for wanted, ending in ((self.truth is not None, ".score.json"), (self.tum, ".tum")):
+            if wanted:
+                check_output_file(self.out.with_suffix(ending), self.overwrite)
+
+    def write(self) -> str:
+        """Write what is asked for, each whole or not at all; the score for people to read, blank without one.
+
+        Raises:
+            InputError: see `score_track`.
+        """
+        if self.tum:
+            track = read_track(self.out)
+            with whole_file(self.out.with_suffix(".tum"), self.overwrite) as partial:
+                write_tum(partial, track.t_s, track.T_kidney_camera)
+        if self.truth is None:
+            return ""
+        found = score_track(read_track(self.out), self.truth)
+        write_json(self.out.with_suffix(".score.json"), found, self.overwrite)
+        return "\nagainst the truth: " + ", ".join(
+            f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
+        )
 
 
 def _quantile(errors: Array, share: float) -> float:

@@ -109,8 +109,8 @@ def join(
                 replace(a, state=SEARCHING, T_kidney_camera=None, calyx=-1, confidence=0.0) for a in answers[here]
             ]
         for first, last in _unbroken(measured, t_s[here], tracker):
-            ways = list(zip(forward, backward, strict=True))[start + first : start + last]
             stretch = slice(start + first, start + last)
+            ways = list(zip(forward[stretch], backward[stretch], strict=True))
             answers[stretch] = _smoothed(answers[stretch], ways, measured[first:last], t_s[stretch], tracker)
     return answers
 
