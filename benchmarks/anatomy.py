@@ -21,17 +21,9 @@ import trimesh
 from benchmarks._results import Report, overrides
 from ursnav_torch.files import no_progress
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
-from ursnav_torch.kidney.ct import (
-    CtKidney,
-    Patient,
-    name_kidney,
-    place_kidney,
-    scan_lumen,
-    synthetic_ct,
-    write_scan,
-)
 from ursnav_torch.kidney.grid import LumenGrid, distance_to_surface
-from ursnav_torch.kidney.printing import check_print, make_printed_phantom
+from ursnav_torch.printing import check_print, make_printed_phantom
+from ursnav_torch.segmentation import CtKidney, Patient, name_kidney, place_kidney, scan_lumen, synthetic_ct, write_scan
 
 DEFAULTS = {"phantoms": 6, "prints": 3, "big": 1, "data": "", "out": ""}
 #: (density of the urine in HU, blur of the scanner in mm, slice in mm)

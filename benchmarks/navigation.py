@@ -21,14 +21,14 @@ import torch
 
 from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.features import DefaultSettings
-from ursnav_torch.hardware import Frame, Stamp
 from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
-from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Navigator
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import severity, simulate
 from ursnav_torch.session import Recorder, Replay
+from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
 SETTINGS = {

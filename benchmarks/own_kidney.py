@@ -24,10 +24,10 @@ from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
-from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
-from ursnav_torch.localization.track_search import TrackSettings
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
+from ursnav_torch.tracking.place_search import TrackSettings
+from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
 SETTINGS = {"phantoms": 8, "views": 150, "pictures": 120, "work": "", "out": ""}

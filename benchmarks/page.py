@@ -25,9 +25,9 @@ import torch
 from benchmarks._results import Report, overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import at_rate, prepare
-from ursnav_torch.hardware import Frame
+from ursnav_torch.devices import Frame
 from ursnav_torch.navigation import WORDS, Desk, NavigationState, Navigator
-from ursnav_torch.viewer.page import LivePage
+from ursnav_torch.page import LivePage
 
 SETTINGS = {k: v for k, v in FLIGHT.items() if k != "minutes"} | {"seconds": 60.0, "screenshot": ""}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -24,11 +24,11 @@ from PIL import Image
 from benchmarks._results import overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import phantom_vid, record_flight
-from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Desk, Governor, Navigator, hold_navigation
+from ursnav_torch.page import LivePage, web_page
 from ursnav_torch.session import Replay
+from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import load_vid
-from ursnav_torch.viewer.page import LivePage, web_page
 
 SETTINGS = {"vid": "", "shots": 14, "pictures_a_shot": 26, "width": 960, "quality": 55, "out": "docs"}
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks._results import Report, overrides
+from ursnav_torch.alignment import EdgePnp, RefinementSettings, Refiner
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import FeatureError
+from ursnav_torch.evaluation import pose_errors
 from ursnav_torch.features import DefaultSettings, Features, read_image
 from ursnav_torch.geometry import transform_from, transform_from_quaternion
 from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
 from ursnav_torch.localization import LocalizationSettings, Localizer, Location
-from ursnav_torch.localization.metrics import pose_errors
-from ursnav_torch.localization.pnp import EdgePnp
-from ursnav_torch.localization.refine import RefinementSettings, Refiner
 from ursnav_torch.rendering import RaycastRenderer, WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid, plan_views

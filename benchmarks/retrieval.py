@@ -26,7 +26,7 @@ from benchmarks._shapes import silhouettes
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import ShapeContext, describe
 from ursnav_torch.matching.ordered import Ordered, align_outlines
-from ursnav_torch.matching.workers import map_chunks
+from ursnav_torch.threads import map_chunks
 
 Floats = NDArray[np.float64]
 DEFAULTS = {"data": "", "points": 100, "shortlist": 300, "seed": 0, "classes": 70, "out": ""}

@@ -21,26 +21,22 @@ import numpy as np
 
 from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.devices import Frame, RobotLight, TrackerSample
 from ursnav_torch.features import DefaultSettings
-from ursnav_torch.hardware import (
-    LATER,
-    Frame,
-    Rig,
-    RobotLight,
+from ursnav_torch.kidney import make_phantom_kidney
+from ursnav_torch.localization import Localizer
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.runs.pictures import match_row
+from ursnav_torch.session import LATER, Event, Live, Recorder, Replay, Result, Rig, build_rig, run_session
+from ursnav_torch.simulation import (
     SimulatedGrblRobot,
     SimulatedNdiTracker,
     SimulatedOpenIgtlTracker,
-    TrackerSample,
     TwinCamera,
     TwinPilot,
     World,
-    build_rig,
     make_twin,
 )
-from ursnav_torch.kidney import make_phantom_kidney
-from ursnav_torch.localization import Localizer, match_row
-from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.session import Event, Live, Recorder, Replay, Result, run_session
 from ursnav_torch.vid import PlanSettings, build_vid
 
 SETTINGS = {

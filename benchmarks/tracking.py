@@ -26,17 +26,18 @@ from numpy.typing import NDArray
 from benchmarks._kidneys import vid_of
 from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
+from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.geometry import look_along, transform_from_quaternion
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney, observed_calyx
-from ursnav_torch.localization.coverage import Coverage
-from ursnav_torch.localization.metrics import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
-from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
-from ursnav_torch.localization.track_offline import follow_both_ways
-from ursnav_torch.localization.track_search import SensorReading
-from ursnav_torch.localization.track_video import Moment, Source, follow_source, open_source
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
+from ursnav_torch.runs.sources import open_source
+from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.offline import follow_both_ways
+from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
 SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "offline": True, "pictures": 0, "out": ""}

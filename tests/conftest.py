@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import settings as properties
 
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.features import DefaultSettings
@@ -18,6 +19,8 @@ from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
 
+properties.register_profile("untimed", deadline=None)  # a busy machine is no counterexample
+properties.load_profile("untimed")
 torch.set_num_threads(1)  # pictures are small: more threads only wait for each other
 
 

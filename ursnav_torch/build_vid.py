@@ -14,8 +14,8 @@ def main(config: Any) -> None:
 
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import learn_confidence
+    from ursnav_torch.reports import report_look_alikes
     from ursnav_torch.vid import PlanSettings, build_vid
-    from ursnav_torch.viewer import report_look_alikes
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)

@@ -18,7 +18,7 @@ def main(config: Any) -> None:
 
     from ursnav_torch.features import read_image
     from ursnav_torch.files import check_output
-    from ursnav_torch.localization.matches import find_images
+    from ursnav_torch.runs.pictures import find_images
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)

@@ -7,16 +7,16 @@ from ursnav_torch._runner import caller_path, progress, runner
 
 @runner("demo")
 def main(config: Any) -> None:
-    """Instantiate the choices, build the VID unless it is there, and call `viewer.run_demo`."""
+    """Instantiate the choices, build the VID unless it is there, and call `runs.demo.run_demo`."""
     from functools import partial
 
     from hydra.utils import instantiate
 
-    from ursnav_torch._tables import print_scores
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import learn_confidence
+    from ursnav_torch.runs.demo import run_demo
+    from ursnav_torch.runs.tables import print_scores
     from ursnav_torch.vid import build_vid
-    from ursnav_torch.viewer import run_demo
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)

@@ -7,14 +7,14 @@ from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, progress, ru
 
 @runner("experiment")
 def main(config: Any) -> int:
-    """Instantiate the choices and call `protocol.run_experiment`."""
+    """Instantiate the choices and call `thesis.run_experiment`."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import Localizer
-    from ursnav_torch.protocol import Pipeline, beside_text, run_experiment
+    from ursnav_torch.thesis import Pipeline, beside_text, run_experiment
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 @runner("explore", paths=("kidney.centerline", "views.path"))
 def main(config: Any) -> int | None:
-    """Load the VID, or build a small one of a kidney for as long as this lasts, and call `viewer.page.explore_vid`."""
+    """Load the VID, or build a small one of a kidney for as long as this lasts, and call `page.explore_vid`."""
     from tempfile import TemporaryDirectory
 
     from ursnav_torch.files import check_output
+    from ursnav_torch.page import check_address, explore_vid
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer.page import check_address, explore_vid
 
     if (config.vid is None) == (config.get("kidney") is None):
         print("error: explore takes vid=FOLDER or kidney=phantom, mesh or ct; one of the two.", file=sys.stderr)

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -140,6 +141,11 @@ def number(row: Mapping[str, str], column: str, path: Path, line: int) -> float:
     if value - value != 0:
         raise InputError(f"{path}, line {line}: {column} is {row.get(column)!r}, expected a finite number.")
     return value
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorts ``view2`` before ``view10``."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in re.split(r"(\d+)", name) if part]
 
 
 def _is_empty_folder(path: Path) -> bool:

@@ -7,12 +7,12 @@ from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, progress, ru
 
 @runner("match", paths=("images", "report"))
 def main(config: Any) -> int:
-    """Instantiate the choices and call `viewer.match_images`."""
+    """Instantiate the choices and call `runs.match.match_images`."""
     from hydra.utils import instantiate
 
     from ursnav_torch.localization import Localizer
+    from ursnav_torch.runs.match import check_results, match_images
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer import check_results, match_images
 
     out, report = caller_path(config.out), None if config.report is None else caller_path(config.report)
     check_results(out, report, config.overwrite)

@@ -8,12 +8,12 @@ from ursnav_torch.teleop import PATHS
 
 @runner("navigate", paths=(*PATHS, "em_to_kidney"))
 def main(config: Any) -> None:
-    """Instantiate the choices and call `viewer.navigate_vid`."""
+    """Instantiate the choices and call `runs.navigate.navigate_vid`."""
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
+    from ursnav_torch.runs.navigate import navigate_vid
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer.navigated import navigate_vid
 
     plain: Any = OmegaConf.to_container(config, resolve=True)
     summary = navigate_vid(

@@ -11,7 +11,7 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
 
     from ursnav_torch.files import check_output
-    from ursnav_torch.kidney.printing import make_printed_phantom, write_phantom
+    from ursnav_torch.printing import make_printed_phantom, write_phantom
 
     out = caller_path(config.out)
     check_output(out, config.overwrite)

@@ -13,7 +13,7 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
 
     from ursnav_torch.files import check_output_file
-    from ursnav_torch.registration import registration_summary
+    from ursnav_torch.runs.register import registration_summary
     from ursnav_torch.vid import load_vid
 
     out = caller_path(config.out)

@@ -11,7 +11,7 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
 
     from ursnav_torch.errors import InputError
-    from ursnav_torch.kidney.ct import load_ct_kidney, segment_scan
+    from ursnav_torch.segmentation import load_ct_kidney, segment_scan
 
     out = caller_path(config.out)
     chosen = instantiate(config.kidney, _partial_=True, _convert_="all")

@@ -20,8 +20,8 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
-    from ursnav_torch.hardware import World
     from ursnav_torch.session import StatusLine, hold_session
+    from ursnav_torch.simulation import World
 
     def world() -> World:
         kidney = instantiate(config.kidney)

@@ -7,15 +7,15 @@ from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 @runner("track", paths=("source", "em", "em_to_kidney", "truth"))
 def main(config: Any) -> int:
-    """Instantiate the choices and call `viewer.track_source`."""
+    """Instantiate the choices and call `runs.track.track_source`."""
     from hydra.utils import instantiate
 
-    from ursnav_torch.localization.track import Tracker
-    from ursnav_torch.localization.track_files import Besides, read_truth
-    from ursnav_torch.localization.track_video import open_source
     from ursnav_torch.registration import recorded_readings
+    from ursnav_torch.runs.sources import open_source
+    from ursnav_torch.runs.track import camera_source, track_source
+    from ursnav_torch.runs.track_files import Besides, read_truth
+    from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
-    from ursnav_torch.viewer.tracked import camera_source, track_source
 
     vid = load_vid(caller_path(config.vid))
     if config.camera:

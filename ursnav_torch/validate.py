@@ -9,7 +9,8 @@ from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, runner
 def main(config: Any) -> int:
     """Call `judge_matches` and write its report."""
     from ursnav_torch.files import check_output_file, write_json
-    from ursnav_torch.registration import ErrorBudget, Registration, judge_matches, verdict_report, verdict_summary
+    from ursnav_torch.registration import ErrorBudget, Registration
+    from ursnav_torch.runs.validate import judge_matches, verdict_report, verdict_summary
 
     out = caller_path(config.out)
     check_output_file(out, config.overwrite)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ursnav_torch.alignment import Refiner
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.geometry import angle_between, look_along, rotation_angle, transform_from
 from ursnav_torch.localization import LocalizationSettings, Localizer
-from ursnav_torch.localization.refine import Refiner
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 

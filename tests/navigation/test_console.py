@@ -2,8 +2,9 @@
 
 import time
 
-from ursnav_torch.hardware import Gamepad, OperatorInput, SafetyGate, TwinPilot
+from ursnav_torch.devices import Gamepad, OperatorInput, SafetyGate
 from ursnav_torch.navigation import Console
+from ursnav_torch.simulation import TwinPilot
 
 
 class Hands(Gamepad):

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp
 from ursnav_torch.errors import InputError
-from ursnav_torch.hardware import Frame, Joints, RobotSample, Stamp
-from ursnav_torch.localization.track import Tracker
 from ursnav_torch.navigation import Governor, Navigator, Player, hold_navigation
 from ursnav_torch.session import Recorder, Replay, Result
+from ursnav_torch.tracking.tracker import Tracker
 
 
 @pytest.fixture(scope="module")

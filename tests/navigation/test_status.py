@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ursnav_torch.exploration.coverage import GLIMPSED, INSPECTED, OUT_OF_REACH, UNSEEN, CalyxCoverage
+from ursnav_torch.exploration.route import Route
 from ursnav_torch.geometry import look_along
-from ursnav_torch.localization.coverage import GLIMPSED, INSPECTED, OUT_OF_REACH, UNSEEN, CalyxCoverage
-from ursnav_torch.localization.route import Route
 from ursnav_torch.navigation import confidence_words, status_line, turn_words
 
 

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ursnav_torch.errors import InputError
-from ursnav_torch.hardware import (
+from ursnav_torch.devices import (
     CommandSample,
     Frame,
     JointRates,
@@ -21,6 +20,7 @@ from ursnav_torch.hardware import (
     Stamper,
     TrackerSample,
 )
+from ursnav_torch.errors import InputError
 from ursnav_torch.session import Recorder, Replay, Result, Snapshot
 from ursnav_torch.session.events import to_line
 

@@ -10,27 +10,21 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, FeatureError
-from ursnav_torch.geometry import transform_from
-from ursnav_torch.hardware import (
+from ursnav_torch.devices import (
     Frame,
     Gamepad,
     Note,
     OperatorInput,
     Output,
-    Rig,
     RobotLight,
-    SimulatedGrblRobot,
-    SimulatedOpenIgtlTracker,
     SourceAtEndError,
     Tracker,
     TrackerSample,
-    Twin,
-    TwinCamera,
-    World,
-    build_rig,
 )
-from ursnav_torch.session import Live, Recorder, Replay, Snapshot, StatusLine, hold_session, run_session
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, FeatureError
+from ursnav_torch.geometry import transform_from
+from ursnav_torch.session import Live, Recorder, Replay, Rig, Snapshot, StatusLine, build_rig, hold_session, run_session
+from ursnav_torch.simulation import SimulatedGrblRobot, SimulatedOpenIgtlTracker, Twin, TwinCamera, World
 
 NOISE = np.random.default_rng(0).integers(0, 60, (250, 250), dtype=np.uint8)
 

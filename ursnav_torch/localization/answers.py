@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ursnav_torch.alignment import Refined
 from ursnav_torch.features import Features
-from ursnav_torch.localization.refine import Refined
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.ambiguity import find_look_alikes
 from ursnav_torch.localization.confidence import REFINED_NUMBERS, fit
 from ursnav_torch.localization.locate import Localizer
-from ursnav_torch.matching import one_thread_an_operation
 from ursnav_torch.rendering import WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, none_pictures, simulate
+from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
 
 #: Share of pictures that show no calyx among those learned from.

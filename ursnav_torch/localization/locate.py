@@ -7,17 +7,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ursnav_torch.alignment import Refiner
 from ursnav_torch.features import Features, polar_grid, polar_maps
 from ursnav_torch.geometry import angle_between, rotation_angle, transform_from
 from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location, Ranking
 from ursnav_torch.localization.confidence import VOTE_WIDTH, Confidence, evidence
-from ursnav_torch.localization.consensus import NEAR_MM, mean_pose
-from ursnav_torch.localization.refine import Refiner
-from ursnav_torch.localization.scan import RollScan, tilts
 from ursnav_torch.localization.settings import LocalizationSettings, default_matching
-from ursnav_torch.localization.shape import ShapeStage
-from ursnav_torch.matching import Matching, one_thread_an_operation
+from ursnav_torch.matching import Matching
+from ursnav_torch.search.pose_mean import NEAR_MM, mean_pose
+from ursnav_torch.search.scan import RollScan, tilts
+from ursnav_torch.search.shape import ShapeStage
+from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from ursnav_torch.matching.ordered import Ordered, align_outlines
 from ursnav_torch.matching.point_sets import PointSets, pack
 from ursnav_torch.matching.screening import Screen, build_screen
 from ursnav_torch.matching.sinkhorn import ConvergenceWarning, Sinkhorn
-from ursnav_torch.matching.workers import one_thread_an_operation
+from ursnav_torch.threads import one_thread_an_operation
 
 __all__ = [
     "ConvergenceWarning",

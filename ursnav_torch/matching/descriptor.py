@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ursnav_torch.errors import InputError, ShapeError
-from ursnav_torch.matching.workers import map_chunks
+from ursnav_torch.threads import map_chunks
 
 #: Pairs of points handled at once, so that the temporaries stay in the cache.
 _PAIRS_A_CHUNK = 400_000

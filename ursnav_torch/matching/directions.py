@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from ursnav_torch.matching.workers import map_chunks
+from ursnav_torch.threads import map_chunks
 
 _PAIRS_A_CHUNK = 400_000
 

@@ -15,7 +15,7 @@ from ursnav_torch.matching.methods import Correspondences, Method
 from ursnav_torch.matching.nearest import Nearest
 from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
-from ursnav_torch.matching.workers import map_chunks, one_thread_an_operation
+from ursnav_torch.threads import map_chunks, one_thread_an_operation
 
 #: Numbers in one cost chunk, so that it and its views' features stay in the second-level cache.
 _COSTS_A_CHUNK = 250_000

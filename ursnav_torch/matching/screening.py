@@ -20,7 +20,7 @@ from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.matching.directions import estimate_directions
 from ursnav_torch.matching.matcher import Matcher, Matching
 from ursnav_torch.matching.occupancy import MOST_POINTS, Occupancy, best_sums, fill, table_rows
-from ursnav_torch.matching.workers import map_chunks
+from ursnav_torch.threads import map_chunks
 
 _FORMAT = "ursnav screen 1"
 #: Views filled in at once while building.

@@ -4,8 +4,9 @@ import threading
 import time
 from dataclasses import replace
 
-from ursnav_torch.hardware import Gamepad, OperatorInput, Robot, TwinPilot
-from ursnav_torch.hardware.safety import DISARMED
+from ursnav_torch.devices import Gamepad, OperatorInput, Robot
+from ursnav_torch.devices.robots.safety import DISARMED
+from ursnav_torch.simulation import TwinPilot
 
 #: One press of a button on the page moves for this long; the page repeats it while it is held.
 HOLD_S = 0.35

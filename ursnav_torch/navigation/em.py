@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from ursnav_torch.hardware import TrackerSample
-from ursnav_torch.localization.track_search import SensorReading
+from ursnav_torch.devices import TrackerSample
 from ursnav_torch.registration import readings_in_kidney
+from ursnav_torch.tracking.place_search import SensorReading
 
 
 def sensor_in_kidney(

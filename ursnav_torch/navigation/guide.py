@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage, Coverage
+from ursnav_torch.exploration.route import Route, ScopeLimits, nearest_route, route_to
 from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.localization.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage, Coverage
-from ursnav_torch.localization.route import Route, ScopeLimits, nearest_route, route_to
 from ursnav_torch.navigation.state import Guidance
 from ursnav_torch.navigation.status import turn_words
 from ursnav_torch.vid import Vid

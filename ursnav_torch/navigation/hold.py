@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from ursnav_torch.devices import Frame, Output
 from ursnav_torch.errors import InputError
-from ursnav_torch.hardware import Frame, Output, Rig, World
 from ursnav_torch.navigation.console import Console
 from ursnav_torch.navigation.navigator import Navigator
 from ursnav_torch.navigation.player import Player
 from ursnav_torch.navigation.state import NavigationState
-from ursnav_torch.session import Event, Live, Recorder, Replay, Result
+from ursnav_torch.session import Event, Live, Recorder, Replay, Result, Rig
 from ursnav_torch.session.hold import share
+from ursnav_torch.simulation import World
 
 
 @dataclass(frozen=True, slots=True)

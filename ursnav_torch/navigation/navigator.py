@@ -12,13 +12,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.devices import Frame, Note, RobotSample, Stamper, TrackerSample
+from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.exploration.route import ScopeLimits
 from ursnav_torch.features import Features
-from ursnav_torch.hardware import Frame, Note, RobotSample, Stamper, TrackerSample
-from ursnav_torch.hardware.safety import STOPPED
-from ursnav_torch.localization.route import ScopeLimits
-from ursnav_torch.localization.track import TRACKING, Tracked, Tracker
-from ursnav_torch.localization.track_search import SensorReading
 from ursnav_torch.navigation.bus import Newest, StateBus
 from ursnav_torch.navigation.effort import WORDS, Governor
 from ursnav_torch.navigation.guide import Guide
@@ -26,6 +24,8 @@ from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Result
+from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import pose_cells
 
 Array = NDArray[np.float64]

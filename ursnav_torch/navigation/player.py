@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from ursnav_torch.hardware import Frame
+from ursnav_torch.devices import Frame
 from ursnav_torch.session import Event, Replay
 
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.devices import Frame
+from ursnav_torch.exploration.coverage import CalyxCoverage
+from ursnav_torch.exploration.route import Route
 from ursnav_torch.features import EdgePoints
-from ursnav_torch.hardware import Frame
-from ursnav_torch.localization.coverage import CalyxCoverage
-from ursnav_torch.localization.route import Route
-from ursnav_torch.localization.track import SEARCHING
+from ursnav_torch.tracking.tracker import SEARCHING
 
 Array = NDArray[np.float64]
 

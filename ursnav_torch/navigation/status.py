@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.localization.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage
-from ursnav_torch.localization.route import Route
-from ursnav_torch.localization.track import LOST, TRACKING
+from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage
+from ursnav_torch.exploration.route import Route
+from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,6 @@ the verdict of the EM sensor on what image matching says (thesis chapters 4.4-4.
 
 from ursnav_torch.registration.centerline import branch_directions, register_centerline
 from ursnav_torch.registration.files import EmSamples, Landmarks, join_names, read_em_samples, read_landmarks
-from ursnav_torch.registration.jobs import centerline_job, landmarks_job, registration_summary, surface_job
 from ursnav_torch.registration.landmarks import RegistrationWarning, register_landmarks
 from ursnav_torch.registration.readings import readings_in_kidney, recorded_readings
 from ursnav_torch.registration.result import Registration
@@ -19,7 +18,6 @@ from ursnav_torch.registration.validation import (
     confusion,
     position_threshold,
 )
-from ursnav_torch.registration.verdicts import Verdicts, judge_matches, verdict_report, verdict_summary
 
 __all__ = [
     "Comparison",
@@ -29,16 +27,12 @@ __all__ = [
     "Landmarks",
     "Registration",
     "RegistrationWarning",
-    "Verdicts",
     "branch_directions",
     "camera_errors",
-    "centerline_job",
     "compare_poses",
     "confusion",
     "fit_rigid",
     "join_names",
-    "judge_matches",
-    "landmarks_job",
     "picked_points",
     "position_threshold",
     "read_em_samples",
@@ -48,9 +42,5 @@ __all__ = [
     "register_centerline",
     "register_landmarks",
     "register_surface",
-    "registration_summary",
-    "surface_job",
     "touched_points",
-    "verdict_report",
-    "verdict_summary",
 ]

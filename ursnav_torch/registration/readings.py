@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.localization.track_search import SensorReading
-from ursnav_torch.localization.track_video import Moment
 from ursnav_torch.registration.files import read_em_samples
 from ursnav_torch.registration.result import Registration
+from ursnav_torch.tracking.follow import Moment
+from ursnav_torch.tracking.place_search import SensorReading
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from ursnav_torch.hardware import (
+from ursnav_torch.devices import (
     CommandSample,
     Frame,
     JointRates,

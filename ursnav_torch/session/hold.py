@@ -8,13 +8,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TextIO
 
+from ursnav_torch.devices import Frame, Note, Output, RobotSample, TrackerSample
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from_quaternion
-from ursnav_torch.hardware import Frame, Note, Output, Rig, RobotSample, TrackerSample, World
 from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.live import Live
 from ursnav_torch.session.record import Recorder
 from ursnav_torch.session.replay import Replay
+from ursnav_torch.session.rig import Rig, World
 from ursnav_torch.session.run import Locate, Summary, run_session
 
 POSITION, QUATERNION = ("x_mm", "y_mm", "z_mm"), ("qx", "qy", "qz", "qw")

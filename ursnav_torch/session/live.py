@@ -8,20 +8,20 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
-from ursnav_torch.hardware import (
-    Control,
+from ursnav_torch.devices import (
     Device,
     Frame,
     Note,
     OperatorInput,
-    Rig,
     RobotSample,
     SourceAtEndError,
     Stamper,
     TrackerSample,
 )
+from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Snapshot
+from ursnav_torch.session.rig import Rig
 
 logger = logging.getLogger(__name__)
 CONTROL_HZ = 50.0

@@ -19,16 +19,16 @@ from typing import Any, Self
 
 import cv2
 
+from ursnav_torch.columns import EM_COLUMNS
+from ursnav_torch.devices import Frame
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import cell, check_output, commit, partial_path
-from ursnav_torch.hardware import Frame
 from ursnav_torch.session.events import Event, Snapshot, to_line
 
 logger = logging.getLogger(__name__)
 FORMAT = 1
 EVENTS, FRAMES, SNAPSHOTS, ABOUT = "events.jsonl", "frames", "snapshots", "session.json"
 SYNC_S = 2.0
-EM_COLUMNS = "image,t_s,x_mm,y_mm,z_mm,dx,dy,dz"
 PACKAGES = ("ursnav-torch", "numpy", "torch", "opencv-python-headless", "pyserial")
 
 
@@ -139,7 +139,7 @@ class Recorder:
         values = [*em.position_mm, *em.axis] if em and em.position_mm and em.axis else [None] * 6
         with (folder / "em.csv").open("a", encoding="utf-8") as file:
             if file.tell() == 0:
-                file.write(EM_COLUMNS + "\n")
+                file.write(",".join(("image", "t_s", *EM_COLUMNS)) + "\n")
             file.write(",".join([name, f"{t:.6f}", *map(cell, values)]) + "\n")
         return f"{SNAPSHOTS}/{name}"
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ursnav_torch.devices import Frame
+from ursnav_torch.devices.cameras import decode_image
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import partial_path
-from ursnav_torch.hardware import Frame
-from ursnav_torch.hardware.cameras import decode_image
 from ursnav_torch.session.events import Event, Result, Snapshot, from_line, stamp_of
 from ursnav_torch.session.record import ABOUT, EVENTS, FORMAT
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from ursnav_torch.devices import Frame, Stamper, TrackerSample
 from ursnav_torch.errors import UrsnavError
-from ursnav_torch.hardware import Frame, Stamper, TrackerSample
 from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.live import Live
 from ursnav_torch.session.record import Recorder

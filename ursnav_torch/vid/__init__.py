@@ -6,10 +6,9 @@ from ursnav_torch.vid.compute import Compute, DaskCompute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
 from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_views
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
-from ursnav_torch.vid.store import POSE_COLUMNS, load_vid, pose_cells, poses_from_rows, save_vid
+from ursnav_torch.vid.store import load_vid, pose_cells, poses_from_rows, save_vid
 
 __all__ = [
-    "POSE_COLUMNS",
     "CollectedViews",
     "Compute",
     "DaskCompute",

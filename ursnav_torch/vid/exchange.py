@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.columns import POSE_COLUMNS, UNITY_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import check_output, commit, number, partial_path, read_csv, write_csv
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.vid.base import Vid, image_name
 from ursnav_torch.vid.plan import Plan
-from ursnav_torch.vid.store import POSE_COLUMNS, poses_from_rows
+from ursnav_torch.vid.store import poses_from_rows
 
 #: Anatomical mm a unit of the thesis's Unity scene: meters, everything 10.8 times as large as life (§3.3.2).
 THESIS_MM_PER_UNIT = 1000 / 10.8
-UNITY_COLUMNS = ("x_unity", "y_unity", "z_unity", "qx", "qy", "qz", "qw")
 #: A view may stick this far through the wall, mm at scale 1: hands are no robots.
 _OUTSIDE_MM = 3.0
 

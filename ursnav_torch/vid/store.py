@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from ursnav_torch.camera import camera_from_dict
+from ursnav_torch.columns import POSE_COLUMNS, VIEW_COLUMNS
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.features import settings_from_dict, settings_to_dict
 from ursnav_torch.files import number, read_csv, write_csv
@@ -20,8 +21,6 @@ from ursnav_torch.vid.draw import load_features, save_features
 
 #: Features of another format are no longer comparable with those that this version extracts.
 FORMAT = 2
-POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
-VIEW_COLUMNS = ("view", "calyx", *POSE_COLUMNS)
 _FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "views.csv", "features.safetensors")
 
 

@@ -1,0 +1,168 @@
+"""Refinement: its drawings agree with the package's own, it finds known poses, and stays in the lumen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment.fields import AlignGrid
+from ursnav_torch.alignment.light import AT_CAMERA, STEP, gray_values
+from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import DefaultSettings, Features, ThesisSettings
+from ursnav_torch.features.flatten import LocalPlane, flatten, masked_blur
+from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.vid import Vid
+
+
+@pytest.fixture(scope="module")
+def grid(lens: Camera) -> AlignGrid:
+    return AlignGrid(lens, 62, DefaultSettings())
+
+
+@pytest.fixture(scope="module")
+def fine(vid: Vid) -> Vid:
+    """The small VID through a lens of 250 px; its views are not refined, so they may stay what they are."""
+    return replace(vid, camera=equidistant_camera(160.0, 250, 250))
+
+
+@pytest.fixture(scope="module")
+def refiner(fine: Vid, phantom_lumen: LumenDistance) -> Refiner:
+    return Refiner(fine, lumen=phantom_lumen)
+
+
+def features(vid: Vid, phantom: Kidney, T: np.ndarray, light: HeadLight | None = None) -> Features:
+    """What a picture from a pose looks like."""
+    return vid.extractor().extract(RaycastRenderer(phantom.mesh, vid.camera, light).render(T).image)
+
+
+def pushed(T: np.ndarray, rng: np.random.Generator, far_mm: float, turned_deg: float) -> np.ndarray:
+    """A pose so far from another and turned so much, in random directions."""
+    shift, axis = rng.standard_normal((2, 3))
+    turn = Rotation.from_rotvec(np.radians(turned_deg) * axis / np.linalg.norm(axis)).as_matrix()
+    return T @ transform_from(turn, far_mm * shift / np.linalg.norm(shift))
+
+
+def test_a_drawings_relief_is_the_extractors(grid: AlignGrid, phantom: Kidney, vid: Vid) -> None:
+    gray = RaycastRenderer(phantom.mesh, grid.camera).render(vid.T_kidney_camera[3]).image.astype(np.float32)
+    mask, settings = torch.from_numpy(grid.mask), DefaultSettings()
+    log_image = masked_blur(torch.log(torch.from_numpy(gray) + 8), mask, max(settings.relief_blur * 62, 0.5))
+    expected = flatten(log_image, mask, LocalPlane(mask, settings.relief_reach * 62)).numpy()
+    np.testing.assert_allclose(grid.relief(gray[..., None])[..., 0], expected, atol=2e-3)
+
+
+def test_a_drawings_gray_values_are_the_headlights() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(0, 2, (500, 3)).astype(np.float32) + np.float32([0, 0, 8])
+    normals = rng.normal(0, 0.4, (500, 3)) - [0, 0, 1]
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    lights = AT_CAMERA + np.array([1.0, -0.5, 0.2, 1.0, 0.1]) + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
+    gray = gray_values(points, normals, lights)
+    for column, (x, y, z, reach, ambient) in zip(gray.T, lights, strict=True):
+        alone = 255 * HeadLight((x, y, z), reach_mm=reach, ambient=ambient).shade(points, normals)
+        dark = (alone < 200) & (column < 200)  # elsewhere exposure may clip
+        share = column[dark] / alone[dark]  # all lights share the first one's exposure
+        np.testing.assert_allclose(share, np.median(share), rtol=2e-3)
+    first = 255 * HeadLight(tuple(lights[0, :3]), reach_mm=lights[0, 3], ambient=lights[0, 4]).shade(points, normals)
+    np.testing.assert_allclose(gray[:, 0], first, rtol=1e-3)
+
+
+def test_motion_says_where_a_moved_wall_point_is_seen(grid: AlignGrid) -> None:
+    points = 6.0 * grid.rays
+    for i, move in enumerate(1e-3 * np.eye(6)):
+        turn = Rotation.from_rotvec(move[3:]).as_matrix()
+        there, _ = grid.camera.project(points @ turn.T + move[:3])
+        here, _ = grid.camera.project(points)
+        expected = 1e-3 * grid.motion[i].T / (6.0 if i < 3 else 1.0)
+        np.testing.assert_allclose(there - here, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("view", [3, 20, 44, 57])
+def test_a_pose_off_by_half_a_millimeter_and_four_degrees_is_found(
+    view: int, fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T = fine.T_kidney_camera[view]
+    start = pushed(T, np.random.default_rng(view), 0.5, 4.0)
+    found = refiner.refine(features(fine, phantom, T), [start])
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.3
+    assert np.degrees(rotation_angle(found.T_kidney_camera, T)) < 2.0
+    assert found.score > 0.9
+
+
+def test_a_light_beside_the_lens_is_found_with_the_pose(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = fine.T_kidney_camera[3]
+    seen = features(fine, phantom, T, HeadLight(offset_mm=(1.2, -0.6, 0.0)))
+    found = refiner.refine(seen, [pushed(T, np.random.default_rng(1), 0.7, 4.0)])
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.15
+    np.testing.assert_allclose(found.light[:2], [1.2, -0.6], atol=0.4)
+
+
+def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = fine.T_kidney_camera[3]
+    near = pushed(T, np.random.default_rng(2), 0.5, 3.0)
+    found = refiner.refine(features(fine, phantom, T), [fine.T_kidney_camera[30], fine.T_kidney_camera[60], near])
+    assert found.hypothesis == 2
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.1
+
+
+def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(
+    fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T, other = fine.T_kidney_camera[3], fine.T_kidney_camera[30]
+    seen = features(fine, phantom, T)
+
+    def elsewhere(poses: np.ndarray) -> np.ndarray:
+        return -2.0 * (np.linalg.norm(poses[:, :3, 3] - other[:3, 3], axis=1) > 3.0)
+
+    plain, told = (refiner.refine(seen, [T, other], prior=prior) for prior in (None, elsewhere))
+    assert (plain.hypothesis, told.hypothesis) == (0, 1)
+    assert told.score < plain.score <= 1.0  # the score is the picture's alone
+
+
+def test_a_refined_pose_is_scored_for_other_features_as_if_drawn_there(
+    fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T = fine.T_kidney_camera[3]
+    found = refiner.refine(features(fine, phantom, T), [pushed(T, np.random.default_rng(2), 0.5, 3.0)])
+    same = refiner.score(features(fine, phantom, T), found)
+    other = refiner.score(features(fine, phantom, fine.T_kidney_camera[30]), found)
+    assert same == pytest.approx(found.score, abs=0.02) and other < 0.5 * same
+
+
+def test_the_pose_never_leaves_the_lumen(fine: Vid, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
+    settings = RefinementSettings(hypotheses=1, fine_rounds=1, clearance_mm=0.8)
+    refiner, rng = Refiner(fine, settings, phantom_lumen), np.random.default_rng(5)
+    seen = features(fine, phantom, fine.T_kidney_camera[3])
+    for T in fine.T_kidney_camera[::9]:
+        start = pushed(T, rng, 0.2, 20.0)
+        least = min(0.8, phantom_lumen.clearance_mm(start[:3, 3])[0])
+        found = refiner.refine(seen, [start]).T_kidney_camera
+        assert phantom_lumen.clearance_mm(found[:3, 3])[0] >= least - 1e-6
+        np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_start_outside_the_kidney_is_no_crash(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = fine.T_kidney_camera[3]
+    outside = transform_from(np.eye(3), phantom.mesh.bounds[1] + 50)
+    found = refiner.refine(features(fine, phantom, T), [outside, T])
+    assert found.hypothesis == 1
+    alone = refiner.refine(features(fine, phantom, T), [outside])
+    assert alone.score == -1.0
+    np.testing.assert_array_equal(alone.T_kidney_camera, outside)
+
+
+def test_what_cannot_be_refined_is_refused(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    seen = features(fine, phantom, fine.T_kidney_camera[3])
+    with pytest.raises(InputError, match="at least one candidate"):
+        refiner.refine(seen, [])
+    with pytest.raises(InputError, match="not orthonormal"):
+        refiner.refine(seen, [2 * np.eye(4)])
+    with pytest.raises(InputError, match="fine_rounds"):
+        RefinementSettings(fine_rounds=0)
+    with pytest.raises(InputError, match="features=default"):
+        Refiner(replace(fine, settings=ThesisSettings()))

@@ -1,0 +1,265 @@
+"""The GRBL driver by its byte dialogue, and against the simulated board."""
+
+import random
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+from dialogue import dialogue, wait_until
+
+from ursnav_torch.devices import GrblRobot, JointRates
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.simulation.grbl_board import BANNER, SETTINGS, GrblBoard
+from ursnav_torch.simulation.port import SimulatedPort
+
+SETTINGS_TEXT = b"".join(f"${n}={v:g}\r\n".encode() for n, v in SETTINGS.items()) + b"ok\r\n"
+IDLE = b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n"
+CONNECT = [(b"\x18", BANNER), (b"$$\n", SETTINGS_TEXT), (b"?", IDLE)]
+FORWARD = JointRates(insertion_mm_s=4.0)
+#: 4 mm/s for the horizon of 0.12 s less the ramp of 8 ms.
+JOG = b"$J=G21G91Z0.44800F240.00\n"
+
+
+@pytest.fixture
+def board():
+    board = GrblBoard()
+    port = SimulatedPort(board, period_s=0.002)
+    board.port = port
+    yield board
+    port.close()
+
+
+@pytest.fixture
+def robot(board):
+    with GrblRobot(board.port.path) as robot:
+        yield robot
+
+
+def drive(robot, rates, seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        robot.command(rates, True)
+        time.sleep(0.02)
+
+
+def test_connect_drive_stop_and_disconnect_say_exactly_these_bytes():
+    with dialogue([*CONNECT, (JOG, b"ok\r\n"), (b"\x85", b""), (b"\x85", b"")]) as (path, _, _):
+        with GrblRobot(path) as robot:
+            robot.arm()
+            assert robot.command(FORWARD, True).sent.insertion_mm_s == pytest.approx(4.0)
+            assert robot.command(JointRates(), True).sent == JointRates()
+            assert robot._link.read_available() == b""
+
+
+def test_bend_goes_out_as_cable_pulls():
+    bend = JointRates(bend_x_rad_s=0.3, bend_y_rad_s=-0.2)  # 2 mm from the axis: 0.6 and -0.4 mm/s for 118.6 ms
+    jog = b"$J=G21G91X0.07113Y-0.04742F43.26\n"
+    with dialogue([*CONNECT, (jog, b"ok\r\n"), (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
+        robot.arm()
+        sent = robot.command(bend, True).sent
+        assert sent.bend_x_rad_s == pytest.approx(0.3, rel=1e-3)
+        assert sent.bend_y_rad_s == pytest.approx(-0.2, rel=1e-3)
+
+
+def test_the_light_waits_until_the_jog_has_ended():
+    steps = [(b"\x85", b""), (b"?", IDLE.replace(b"Idle", b"Jog")), (b"?", IDLE), (b"M3S300\n", b"ok\r\n")]
+    with dialogue([*CONNECT, *steps, (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
+        assert robot.set_light(0.3004) == 0.3
+
+
+def test_stop_and_acknowledgment_unlock_the_board():
+    alarm = b"ALARM:3\r\n" + BANNER + b"[MSG:'$H'|'$X' to unlock]\r\n"
+    locked = IDLE.replace(b"Idle", b"Alarm")
+    unlock = [(b"\x18", BANNER), (b"?", locked), (b"$X\n", b"[MSG:Caution: Unlocked]\r\nok\r\n"), (b"?", IDLE)]
+    with dialogue([*CONNECT, (JOG, b"ok\r\n"), (b"\x18", alarm), *unlock, (b"\x85", b"")]) as (path, _, _):
+        with GrblRobot(path) as robot:
+            robot.arm()
+            robot.command(FORWARD, True)
+            robot.emergency_stop()
+            time.sleep(0.02)
+            assert not robot.arm()
+            robot.acknowledge()
+            assert robot.gate.state == "disarmed"
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (b"error:15\r\n", DeviceProtocolError, "beyond the machine's travel"),
+        (b"ALARM:1\r\n", DeviceProtocolError, "hard limit hit"),
+        (BANNER, DeviceProtocolError, "was reset in mid-command"),
+        (b"rubbish\r\n", DeviceProtocolError, "answered 'rubbish'"),
+        (b"\xff\xfe\x80ok\r\n", DeviceProtocolError, "answered"),
+        (b"o", DeviceTimeoutError, "so far b'o'"),
+        (b"", DeviceTimeoutError, "is it switched on"),
+    ],
+)
+def test_a_fault_in_mid_command_stops_the_motors_within_the_deadline(answer, error, message):
+    with dialogue([*CONNECT, (JOG, answer), (b"\x18", b""), (b"\x85", b"")]) as (path, board, _):
+        with GrblRobot(path, deadline_s=0.2) as robot:
+            robot.arm()
+            begun = time.monotonic()
+            with pytest.raises(error, match=message):
+                robot.command(FORWARD, True)
+            assert time.monotonic() - begun < 0.5
+            assert robot.gate.state == "stopped"
+            assert wait_until(lambda: board.all_received.endswith(b"\x18"), 0.3)
+            assert robot.command(FORWARD, True).sent.is_zero
+
+
+@pytest.mark.parametrize("status", [b"<Idle|MPos:0.000,0.0\r\n", b"<Idle|WPos:0.000,0.000,0.000|FS:0,0>\r\n"])
+def test_an_unreadable_status_is_refused(status):
+    with dialogue([*CONNECT, (b"?", status), (b"\x18", b""), (b"\x85", b"")]) as (path, _, _):
+        with GrblRobot(path) as robot, pytest.raises(DeviceProtocolError, match="unreadable status"):
+            robot.read()
+
+
+def test_unplugging_in_mid_command_is_told_apart_from_silence(board, robot):
+    robot.arm()
+    robot.command(FORWARD, True)
+    board.port.unplug()
+    with pytest.raises(DeviceNotConnectedError, match="was it unplugged"):
+        for _ in range(3):
+            robot.command(FORWARD, True)
+            time.sleep(0.03)
+    assert robot.gate.state == "stopped"
+    robot.stop()
+    robot.disconnect()
+    robot.stop()
+
+
+def test_a_board_that_never_answers_fails_within_the_deadline(board):
+    board.answering = False
+    begun = time.monotonic()
+    with pytest.raises(DeviceTimeoutError, match="switched on"):
+        GrblRobot(board.port.path, boot_s=0.5).connect()
+    assert time.monotonic() - begun < 0.8
+
+
+def test_other_firmware_is_refused():
+    with dialogue([(b"\x18", b"Grbl 0.9j ['$' for help]\r\n")]) as (path, _, _):
+        with pytest.raises(DeviceProtocolError, match=r"GRBL 1\.1 is needed"):
+            GrblRobot(path).connect()
+
+
+def test_no_such_port():
+    with pytest.raises(DeviceNotConnectedError, match="dialout"):
+        GrblRobot("/dev/no-such-port").connect()
+    with pytest.raises(DeviceNotConnectedError, match=r"call connect\(\)"):
+        GrblRobot("/dev/no-such-port").read()
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "message"),
+    [(122, 10, "Set it to"), (112, 60, r"Raise \$112"), (13, 1, "inches"), (32, 1, "laser mode")],
+)
+def test_a_board_that_would_move_for_longer_than_told_is_refused(board, setting, value, message):
+    board.settings[setting] = value
+    with pytest.raises(InputError, match=message):
+        GrblRobot(board.port.path).connect()
+
+
+def test_the_robot_goes_where_it_was_sent(board, robot):
+    robot.arm()
+    drive(robot, JointRates(0.2, -0.1, 4.0), 0.5)
+    robot.stop()
+    assert wait_until(lambda: not board.moving, 0.3)
+    joints = robot.read().joints
+    np.testing.assert_allclose(robot.drive.axes_mm(joints), board.axes_mm(), atol=2e-3)
+    assert joints.insertion_mm == pytest.approx(2.0, abs=0.4)
+
+
+def test_power_cut_in_mid_drive_keeps_the_joints(board, robot):
+    robot.arm()
+    drive(robot, FORWARD, 0.2)
+    robot.stop()
+    wait_until(lambda: not board.moving, 0.3)
+    before = robot.read().joints
+    board.power_cycle()
+    robot.emergency_stop("power cut")
+    robot.acknowledge()
+    assert robot.read().joints.insertion_mm == pytest.approx(before.insertion_mm, abs=2e-3)
+
+
+def test_the_end_of_the_slider_is_kept(board):
+    from ursnav_torch.devices import Limits
+
+    with GrblRobot(board.port.path, limits=Limits(max_insertion_mm=1.0)) as robot:
+        robot.arm()
+        drive(robot, JointRates(insertion_mm_s=8.0), 0.6)
+        wait_until(lambda: not board.moving, 0.5)
+        assert 0.9 < board.axes_mm()[2] < 1.001
+        drive(robot, JointRates(insertion_mm_s=-8.0), 0.6)
+        wait_until(lambda: not board.moving, 0.5)
+        assert -0.001 < board.axes_mm()[2] < 0.1
+
+
+def test_the_watchdog_stops_and_disarms(board, robot):
+    robot.arm()
+    robot.command(FORWARD, True)
+    assert wait_until(lambda: robot.gate.state == "disarmed", 0.7)
+    assert "watchdog" in robot.gate.reason
+    assert not board.moving
+    assert robot.command(FORWARD, True).reason.startswith("disarmed: watchdog")
+
+
+def test_however_jerky_the_driving_less_than_half_a_second_is_queued(board, robot):
+    rng = random.Random(1)
+    robot.arm()
+    longest = 0.0
+    for _ in range(8):
+        end = time.monotonic() + 0.25
+        while time.monotonic() < end:
+            rates = JointRates(rng.uniform(-1, 1), rng.uniform(-1, 1), rng.choice([-8.0, 8.0]))
+            robot.command(rates, True)
+            time.sleep(rng.choice([0.002, 0.02]))
+        silent = time.monotonic()  # nobody commands any more, as if the host were dead
+        assert wait_until(lambda: not board.moving, 1.0)
+        longest = max(longest, time.monotonic() - silent)
+    print(f"longest motion after the last command: {longest:.3f} s")
+    assert longest < 0.5
+
+
+DRIVER = """
+import sys, time
+from ursnav_torch.hardware import {kind}, JointRates
+robot = {kind}({port})
+robot.connect()
+robot.arm()
+print("driving", flush=True)
+while True:
+    robot.command(JointRates(0.1, 0.1, 4.0), True)
+    time.sleep(0.02)
+"""
+
+
+def motion_after_sigkill(kind, port, moving):
+    """Seconds of motion after the driver's process was killed in mid-drive."""
+    code = textwrap.dedent(DRIVER).format(kind=kind, port=port)
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "driving\n"
+        assert wait_until(moving, 2.0)
+        time.sleep(0.3)
+        assert moving()
+        process.kill()
+        process.wait()
+        killed = time.monotonic()
+        assert wait_until(lambda: not moving(), 2.0)
+        return time.monotonic() - killed
+    finally:
+        process.kill()
+        process.stdout.close()
+        process.wait()
+
+
+def test_sigkill_while_driving_ends_the_motion_within_half_a_second(board):
+    seconds = motion_after_sigkill("GrblRobot", repr(board.port.path), lambda: board.moving)
+    print(f"motion after SIGKILL: {seconds:.3f} s")
+    assert seconds < 0.5
+    stood = board.axes_mm()
+    time.sleep(0.6)
+    np.testing.assert_array_equal(board.axes_mm(), stood)

@@ -1,0 +1,216 @@
+"""OpenIGTLink: golden checks, pyigtl as second opinion, and the tracker over a real socket."""
+
+import contextlib
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from dialogue import wait_until
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.devices import OpenIgtlServer, OpenIgtlTracker, SlicerOutput
+from ursnav_torch.devices.igtl.messages import (
+    HEADER,
+    TOOL_5D,
+    TOOL_6D,
+    Header,
+    Message,
+    ToolPose,
+    crc64,
+    encode,
+    pack_tracking_data,
+    pack_transform,
+    unpack_position,
+    unpack_tracking_data,
+    unpack_transform,
+)
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.geometry import transform_from
+from ursnav_torch.simulation.igtl_tracker import SimulatedIgtlTracker
+
+R = Rotation.from_quat([0.1, -0.2, 0.3, 0.9]).as_matrix()
+T = transform_from(R, [1.5, -20.0, 300.0])
+
+
+CONTENT = pack_transform(T)
+
+
+def raw(kind="TRANSFORM", device="Scope", content=CONTENT):
+    return encode(Message(kind, device, content, 1234.5))
+
+
+@contextlib.contextmanager
+def server(*chunks, hold_s=1.0):
+    """A server on a real socket that sends these bytes to the first client and then falls silent."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    received = []
+
+    def run():
+        client, _ = listener.accept()
+        with client:
+            for chunk in chunks:
+                client.sendall(chunk)
+                time.sleep(0.01)
+            client.settimeout(hold_s)
+            with contextlib.suppress(TimeoutError):
+                while data := client.recv(1000):
+                    received.append(data)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield listener.getsockname()[1], received
+    finally:
+        thread.join()
+        listener.close()
+
+
+def test_convention_checksum_header_and_order_are_the_protocols():
+    assert crc64(b"123456789") == 0x6C40DF5F0B497347
+    assert HEADER.size == 58
+    assert raw()[:2] == b"\0\1" and raw()[2:11] == b"TRANSFORM" and raw()[14:19] == b"Scope"
+    columns = np.frombuffer(pack_transform(T), ">f4")
+    np.testing.assert_allclose(columns, [*R[:, 0], *R[:, 1], *R[:, 2], 1.5, -20, 300], rtol=1e-6)
+    half_second = int.from_bytes(raw()[38:42], "big")
+    assert half_second == 2**31
+
+
+def test_messages_round_trip():
+    message = Header.unpack(raw()[:58]).message(raw()[58:])
+    assert (message.kind, message.device, message.t_s) == ("TRANSFORM", "Scope", 1234.5)
+    np.testing.assert_allclose(unpack_transform(message.content), T, atol=1e-4)
+    tools = [ToolPose("Scope", TOOL_5D, T), ToolPose("Probe", TOOL_6D, np.eye(4))]
+    back = unpack_tracking_data("TDATA", pack_tracking_data(tools))
+    assert [(t.name, t.kind) for t in back] == [("Scope", TOOL_5D), ("Probe", TOOL_6D)]
+    np.testing.assert_allclose(back[0].T_em_sensor, T, atol=1e-4)
+
+
+def test_both_implementations_say_the_same_bytes():
+    pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
+    theirs = pyigtl.TransformMessage(T, timestamp=1234.5, device_name="Scope").pack()
+    assert theirs == raw()
+
+
+def test_a_position_is_a_point_and_a_quaternion_x_y_z_w():
+    values = np.array([1.5, -20.0, 300.0, 0.0, 0.6, 0.0, 0.8], ">f4")
+    T_position = unpack_position(values.tobytes())
+    np.testing.assert_allclose(T_position[:3, 3], [1.5, -20, 300])
+    np.testing.assert_allclose(T_position[:3, 2], [0.96, 0.0, 0.28], atol=1e-6)
+
+
+def test_a_version_2_message_of_pyigtl_is_understood_with_its_metadata():
+    pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
+    message = pyigtl.TransformMessage(T, device_name="Scope")
+    message.header_version, message.metadata = 2, {"ScopeTransformStatus": "MISSING"}
+    bytes_ = message.pack()
+    back = Header.unpack(bytes_[:58]).message(bytes_[58:])
+    assert back.metadata == {"ScopeTransformStatus": "MISSING"}
+    np.testing.assert_allclose(unpack_transform(back.content), T, atol=1e-4)
+    with server(bytes_) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
+        assert not tracker.read().visible
+
+
+def test_only_our_tool_is_read_whatever_else_comes_and_however_it_is_cut():
+    stream = raw("STRING", "x", b"\0\3\0\2hi") + raw("NOBODYKNOWS", "y", bytes(100)) + raw(device="Other") + raw()
+    chunks = [stream[at : at + 37] for at in range(0, len(stream), 37)]
+    with server(*chunks) as (port, _), OpenIgtlTracker("Scope", port=port, dof=6) as tracker:
+        sample = tracker.read()
+        assert sample.position_mm == pytest.approx((1.5, -20, 300))
+        np.testing.assert_allclose(sample.axis, R[:, 2], atol=1e-6)
+        np.testing.assert_allclose(Rotation.from_quat(sample.quaternion_xyzw).as_matrix(), R, atol=1e-6)
+
+
+def test_a_5_dof_tool_has_no_roll_and_one_that_is_left_out_is_not_visible():
+    seen = raw("TDATA", "Tracker", pack_tracking_data([ToolPose("Scope", TOOL_5D, T)]))
+    with server(seen, raw("TDATA", "Tracker", b"")) as (port, _), OpenIgtlTracker("Scope", port=port, dof=6) as tracker:
+        sample, hidden = tracker.read(), tracker.read()
+    assert (sample.visible, sample.dof, sample.quaternion_xyzw) == (True, 5, None)
+    assert (hidden.visible, hidden.position_mm) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("stream", "error", "text"),
+    [
+        (raw()[:-1] + b"\x99", DeviceProtocolError, "wrong checksum of a TRANSFORM"),
+        (b"HTTP/1.1 400 Bad Request" + bytes(60), DeviceProtocolError, "is an OpenIGTLink server on that port"),
+        (raw(content=b"short"), DeviceProtocolError, "has 48 bytes"),
+        (raw("TDATA", "Tracker", bytes(69)), DeviceProtocolError, "no multiple of 70"),
+        (raw()[:80], DeviceTimeoutError, "nothing was heard"),
+        (raw(device="ScopeToReference"), DeviceTimeoutError, r"heard of \['ScopeToReference'\]"),
+        (b"", DeviceTimeoutError, "nothing was heard"),
+    ],
+)
+def test_faults_raise_the_right_error_within_the_deadline(stream, error, text):
+    with server(stream) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
+        begun = time.monotonic()
+        with pytest.raises(error, match=text):
+            tracker.read(timeout_s=0.3)
+        assert time.monotonic() - begun < 0.6
+
+
+def test_a_message_cut_by_a_deadline_is_read_to_its_end_by_the_next_call():
+    listener = socket.create_server(("127.0.0.1", 0))
+    with listener, OpenIgtlTracker("Scope", port=listener.getsockname()[1]) as tracker:
+        client, _ = listener.accept()
+        with client:
+            client.sendall(raw()[:80])
+            with pytest.raises(DeviceTimeoutError):
+                tracker.read(timeout_s=0.1)
+            client.sendall(raw()[80:])
+            assert tracker.read(timeout_s=0.5).visible
+
+
+def test_a_server_that_goes_away_is_noticed_at_once():
+    with server(hold_s=0.05) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
+        begun = time.monotonic()
+        with pytest.raises(DeviceNotConnectedError, match="closed the connection"):
+            tracker.read(timeout_s=2.0)
+        assert time.monotonic() - begun < 0.5
+
+
+def test_refusals():
+    with pytest.raises(DeviceNotConnectedError, match="start PLUS or Slicer"):
+        OpenIgtlTracker("Scope", port=1).connect()
+    with pytest.raises(InputError, match="5 or 6"):
+        OpenIgtlTracker("Scope", dof=3)
+    with OpenIgtlServer(port=0) as taken, pytest.raises(DeviceNotConnectedError, match="choose another port"):
+        OpenIgtlServer(port=taken.port)
+
+
+@pytest.mark.parametrize("subscribe_ms", [0, 25])
+def test_the_simulated_server_streams_at_its_rate(subscribe_ms):
+    simulated = SimulatedIgtlTracker(lambda: ((1.0, 2.0, -300.5), (0.0, 0.0, 0.6, 0.8)))
+    try:
+        with OpenIgtlTracker(simulated.device, port=simulated.port, subscribe_ms=subscribe_ms) as tracker:
+            samples = [tracker.read() for _ in range(20)]
+        assert samples[-1].position_mm == (1.0, 2.0, -300.5)
+        assert samples[-1].stamp.t_mono_s - samples[0].stamp.t_mono_s == pytest.approx(19 / 40, abs=0.06)
+    finally:
+        simulated.close()
+
+
+def test_the_localized_pose_reaches_slicers_client():
+    pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
+    with SlicerOutput(port=0) as output:
+        client = pyigtl.OpenIGTLinkClient(port=output.port)
+        try:
+            assert wait_until(lambda: output.publish_pose(T, 1234.5) or client.incoming_messages, 1.0)
+            message = client.wait_for_message("CameraToKidney", timeout=1.0)
+            np.testing.assert_allclose(message.matrix, T, atol=1e-4)
+            assert message.timestamp == 1234.5
+        finally:
+            client.stop()
+
+
+def test_clients_that_leave_or_do_not_read_hold_nobody_up():
+    with OpenIgtlServer(port=0) as sender:
+        with socket.create_connection(("127.0.0.1", sender.port)):
+            assert wait_until(lambda: sender.send_pose(T) == 1, 1.0)
+        assert wait_until(lambda: sender.send_pose(T) == 0, 1.0)
+        with socket.create_connection(("127.0.0.1", sender.port)):
+            assert wait_until(lambda: sender.send_pose(T) == 1, 1.0)
+            begun = time.monotonic()
+            assert any(sender.send_pose(T) == 0 for _ in range(200_000))  # its buffers are full: dropped
+            assert time.monotonic() - begun < 20

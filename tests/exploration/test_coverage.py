@@ -1,0 +1,117 @@
+"""Coverage: what a pose sees, what that makes of a calyx, and that two ways of asking agree."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.exploration.coverage import Coverage, CoverageSettings
+from ursnav_torch.geometry import look_along
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.rendering import RaycastRenderer, RayScene
+from ursnav_torch.vid import Vid
+
+
+@pytest.fixture(scope="module")
+def reach(vid: Vid, phantom_lumen: LumenDistance) -> Coverage:
+    return Coverage(vid.kidney, vid.camera, phantom_lumen, vid.T_kidney_camera)
+
+
+@pytest.fixture
+def coverage(reach: Coverage) -> Coverage:
+    reach.seen_s[:] = 0
+    return reach
+
+
+def test_patches_hold_the_whole_wall_once(coverage: Coverage, phantom: Kidney) -> None:
+    patches = coverage.patches
+    assert patches.area_mm2.sum() == pytest.approx(phantom.mesh.area, rel=1e-6)
+    assert set(patches.of_face) == set(range(len(patches.area_mm2)))
+    assert (patches.area_mm2 > 0).all()
+
+
+def test_every_calyx_has_wall_around_its_tip(coverage: Coverage, phantom: Kidney) -> None:
+    for index, calyx in enumerate(phantom.calyces):
+        own = coverage.patches.center_mm[coverage.patches.calyx == index]
+        assert np.linalg.norm(own - calyx.tip_mm, axis=1).min() < 2.0
+
+
+def test_what_is_in_view_shows_in_a_drawing_from_there(
+    coverage: Coverage, phantom: Kidney, vid: Vid, renderer: RaycastRenderer
+) -> None:
+    T = vid.T_kidney_camera[5]
+    seen = coverage.in_view(T)
+    pixels, inside = vid.camera.project((coverage.patches.center_mm[seen] - T[:3, 3]) @ T[:3, :3])
+    drawn = renderer.render(T).depth_mm
+    depth = drawn[tuple(np.rint(pixels[:, ::-1]).astype(int).T)]
+    far = np.linalg.norm(coverage.patches.center_mm[seen] - T[:3, 3], axis=1)
+    assert len(seen) > 20 and inside.all()
+    assert np.median(np.abs(depth - far)) < 0.5
+    assert far.max() <= coverage.settings.farthest_mm
+
+
+def test_what_lies_behind_the_camera_or_a_wall_is_not_in_view(coverage: Coverage, phantom: Kidney, vid: Vid) -> None:
+    T = vid.T_kidney_camera[5]
+    seen = coverage.in_view(T)
+    way = coverage.patches.center_mm[seen] - T[:3, 3]
+    ray = way / np.linalg.norm(way, axis=1, keepdims=True)
+    assert (ray @ T[:3, 2]).min() > 0
+    depth, _ = RayScene(phantom.mesh).cast(T[:3, 3], ray)
+    assert (depth > np.linalg.norm(way, axis=1) - 1.1).all()
+
+
+def test_nothing_is_unseen_of_all_that_the_views_see(coverage: Coverage, vid: Vid) -> None:
+    for T in vid.T_kidney_camera:
+        coverage.add(T, 0.25)
+        coverage.add(T, 0.25)
+    assert coverage.seen()[coverage.in_reach].all()
+    assert {c.verdict for c in coverage.calyces()} == {"inspected"}
+
+
+def test_only_the_calyx_visited_is_inspected(coverage: Coverage, vid: Vid) -> None:
+    for T in vid.T_kidney_camera[vid.calyx == 0]:
+        coverage.add(T, 0.25)
+        coverage.add(T, 0.25)
+    verdicts = [c.verdict for c in coverage.calyces()]
+    assert verdicts[0] == "inspected"
+    assert "inspected" not in verdicts[1:]
+
+
+def test_a_glance_is_not_enough(coverage: Coverage, vid: Vid) -> None:
+    coverage.add(vid.T_kidney_camera[0], 0.1)
+    assert not coverage.seen().any()
+    coverage.add(vid.T_kidney_camera[0], 100.0)  # a gap in the video counts no longer than a picture may
+    assert coverage.seen_s.max() == pytest.approx(0.1 + coverage.settings.longest_gap_s)
+    assert coverage.seen().any()
+
+
+def test_a_larger_phantom_is_covered_alike(phantom: Kidney, lens: Camera, vid: Vid) -> None:
+    twice = phantom.scaled(2.0)
+    coverage = Coverage(twice, lens, LumenDistance.from_kidney(twice))
+    T = vid.T_kidney_camera[3].copy()
+    once = Coverage(phantom, lens, LumenDistance.from_kidney(phantom))
+    share = once.patches.area_mm2[once.in_view(T)].sum() / phantom.mesh.area
+    T[:3, 3] *= 2
+    assert coverage.patches.area_mm2[coverage.in_view(T)].sum() / twice.mesh.area == pytest.approx(share, rel=0.1)
+
+
+def test_the_report_is_plain_and_its_shares_are_shares(coverage: Coverage, phantom: Kidney) -> None:
+    report = json.loads(json.dumps(coverage.to_dict()))
+    assert set(report["calyces"]) == {c.name for c in phantom.calyces}
+    assert all(c["verdict"] == "unseen" and c["share"] == 0 for c in report["calyces"].values())
+    assert 0.3 < report["reachable"] <= 1.0 and report["share"] == 0
+
+
+def test_what_no_pose_can_see_is_out_of_reach(phantom: Kidney, lens: Camera, phantom_lumen: LumenDistance) -> None:
+    outside = look_along(np.array([[500.0, 0, 0]]), np.array([[1.0, 0, 0]]))
+    coverage = Coverage(phantom, lens, phantom_lumen, outside)
+    assert {c.verdict for c in coverage.calyces()} == {"out of reach"}
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(InputError, match="nearest_mm < farthest_mm"):
+        CoverageSettings(nearest_mm=20.0)
+    with pytest.raises(InputError, match="glimpsed <= inspected"):
+        CoverageSettings(glimpsed=0.9)

@@ -1,0 +1,272 @@
+"""The page without a browser: who may reach it, its words and pictures, what is collected on it."""
+
+import http.client
+import re
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import cv2
+import numpy as np
+import pytest
+
+from ursnav_torch.devices import Frame, Stamp
+from ursnav_torch.errors import InputError
+from ursnav_torch.exploration.coverage import INSPECTED, CalyxCoverage
+from ursnav_torch.kidney import read_calyces
+from ursnav_torch.navigation import Desk, NavigationState, Navigator, hold_navigation
+from ursnav_torch.page import ExplorePage, KidneyScene, LivePage, Pictures, check_address, web_page
+from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
+from ursnav_torch.page.words import confidence_html, coverage_html, picture_html, status_html
+from ursnav_torch.rendering import RayScene
+from ursnav_torch.reports.session import session_figures, write_session_report
+from ursnav_torch.session import Recorder, Replay
+from ursnav_torch.tracking.tracker import Tracker
+from ursnav_torch.vid import PlanSettings, read_views
+
+pytest.importorskip("viser")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org", ""])
+def test_other_computers_are_kept_out_and_told_how_to_tunnel(host):
+    with pytest.raises(InputError, match=r"no password.*ssh -L 8080:127\.0\.0\.1:8080"):
+        check_address(host, 8080)
+
+
+def test_a_port_that_is_taken_is_refused(vid):
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InputError, match=r"cannot be had.*viewer\.port="):
+            check_address("127.0.0.1", taken.getsockname()[1])
+
+
+def test_what_a_page_says_is_escaped():
+    evil = "<script>alert(1)</script>"
+    rows = [CalyxCoverage(evil, evil, INSPECTED, 0.5, 1.0, 1.0)]
+    for text in (status_html(evil), coverage_html(rows, ""), picture_html(np.zeros((4, 4, 3), np.uint8), evil, "pair")):
+        assert "<script>" not in text and "&lt;script&gt;" in text
+
+
+def test_confidence_is_said_in_words_beside_the_figure():
+    state = NavigationState(T_kidney_camera=np.eye(4), confidence=0.95)
+    assert "sure (95%)" in confidence_html(state)
+    assert "no place known" in confidence_html(NavigationState())
+
+
+def test_convention_the_virtual_picture_stands_beside_the_scopes_upright(vid, renderer):
+    """The same pose gives the same picture on both sides, not mirrored, not turned."""
+    pictures = Pictures(vid)
+    image = renderer.render(vid.T_kidney_camera[3]).image
+    pair = pictures.pair(image, None, vid.T_kidney_camera[3]).astype(float)
+    virtual = pair[:, pair.shape[1] // 2 :].mean(axis=2)
+    shown = cv2.resize(image, virtual.shape[::-1]).astype(float)
+
+    def alike(a, b):
+        return np.corrcoef(a.ravel(), b.ravel())[0, 1]
+
+    assert alike(shown, virtual) > 0.98
+    assert max(alike(shown, turned) for turned in (virtual[::-1], virtual[:, ::-1], np.rot90(virtual))) < 0.97
+
+
+def test_pictures_of_every_calyx_are_shown(vid):
+    pictures = Pictures(vid)
+    shown = [pictures.calyx(i) for i in range(len(vid.kidney.calyces))]
+    assert all(p.shape == shown[0].shape and p.std() > 10 for p in shown)
+    assert not np.array_equal(shown[0], shown[1])
+
+
+def test_flying_keeps_off_the_wall_and_what_is_flown_can_be_flown_back(vid, phantom_lumen):
+    T = vid.T_kidney_camera[3]
+    for move, back in (("forward", "back"), ("look left", "look right"), ("look up", "look down"),
+                       ("roll left", "roll right")):  # fmt: skip
+        there = fly(T, move, phantom_lumen, 0.2, 0.1, 1.0)
+        assert np.allclose(fly(there, back, phantom_lumen, 0.2, 0.1, 1.0), T, atol=1e-9)
+    for _ in range(200):
+        T = fly(T, "forward", phantom_lumen, 0.5, 0.1, 1.0)
+    assert phantom_lumen.clearance_mm(T[None, :3, 3])[0] >= 0.5
+    with pytest.raises(InputError, match="no move 'fly away'"):
+        fly(T, "fly away", phantom_lumen, 1.0, 1.0, 1.0)
+    assert len(FLIGHT) == 8
+
+
+def test_convention_looking_right_moves_the_picture_left(vid, phantom_lumen):
+    """x is to the right and y down in the picture."""
+    T = vid.T_kidney_camera[3]
+    assert fly(T, "look right", phantom_lumen, 0.2, 0.1, 1.0)[:3, 2] @ T[:3, 0] > 0
+    assert fly(T, "look up", phantom_lumen, 0.2, 0.1, 1.0)[:3, 2] @ T[:3, 1] < 0
+
+
+def test_landmarks_are_picked_where_the_ray_meets_the_wall_first(phantom):
+    scene, center = RayScene(phantom.mesh), phantom.pelvis_mm
+    origin = center + np.array([0.0, 0.0, 200.0])
+    place = pick_wall(scene, origin, center - origin)
+    assert place is not None and np.linalg.norm(origin - place) < 200
+    assert abs(phantom.mesh.nearest.on_surface(place[None])[1][0]) < 1e-3
+    assert pick_wall(scene, origin, np.array([0, 0, 1.0])) is None
+
+
+def test_what_was_collected_is_what_build_vid_reads(vid, renderer, phantom_lumen, tmp_path):
+    kept = Collection(vid.kidney)
+    kept.rename("A", "oberer Kelch, ä")
+    kept.T_kidney_camera += [vid.T_kidney_camera[3], vid.T_kidney_camera[20]]
+    kept.landmarks_mm.append(vid.kidney.tips_mm[0])
+    said = kept.save(tmp_path / "my views", renderer, phantom_lumen, False)
+    assert "2 views, 6 names, 1 landmarks" in said
+    views = read_views(tmp_path / "my views")
+    assert np.allclose(views.T_kidney_camera, vid.T_kidney_camera[[3, 20]], atol=1e-5)
+    assert len(views.plan(kept.kidney, phantom_lumen).calyx) == 2
+    calyces, pelvis = read_calyces(tmp_path / "my views" / "calyces.csv")
+    assert calyces[0].name == "oberer Kelch, ä" and pelvis is not None
+    assert (tmp_path / "my views" / "landmarks.csv").read_text().count("\n") == 2
+    with pytest.raises(InputError, match="exists already"):
+        kept.save(tmp_path / "my views", renderer, phantom_lumen, False)
+
+
+@pytest.mark.parametrize("name", ["", "  ", "B", "pelvis", "x" * 41, "a\nb"])
+def test_a_name_that_would_confuse_is_refused(phantom, name):
+    with pytest.raises(InputError, match="cannot be called"):
+        Collection(phantom).rename("A", name)
+
+
+def test_views_are_planned_again(phantom, phantom_lumen):
+    kept = Collection(phantom)
+    assert kept.plan(PlanSettings(views_per_calyx=3, passage_views=3), phantom_lumen) == len(kept.T_kidney_camera) > 18
+
+
+@pytest.fixture(scope="module")
+def record(vid, renderer, tmp_path_factory):
+    """Six seconds in front of two calyces and one dark moment, navigated and recorded."""
+    folder = tmp_path_factory.mktemp("page")
+    with Recorder(folder / "raw") as recorder:
+        for i in range(60):
+            view = np.flatnonzero(vid.calyx == (0 if i < 40 else 1))[2]
+            T = vid.T_kidney_camera[view].copy()
+            T[:3, 3] += 0.8 * np.sin(i / 4) * T[:3, 2]
+            image = renderer.render(T).image if not 28 <= i < 40 else np.zeros((96, 96), np.uint8)
+            recorder.write(Frame(Stamp(i, i / 10, 1e9 + i / 10), image))
+    navigator = Navigator(Tracker(vid))
+    hold_navigation(navigator, Replay(folder / "raw", speed=0), recorder=Recorder(folder / "navigated"))
+    return folder / "navigated"
+
+
+def test_a_session_in_figures(vid, record):
+    figures = session_figures(Replay(record, speed=0), vid.kidney)
+    first, second = (c.name for c in vid.kidney.calyces[:2])
+    assert len(figures.t_s) == 60 and figures.t_s[-1] == pytest.approx(5.9)
+    assert figures.time_in_s[first] > 1.5
+    assert figures.best[first] < 40
+    assert 0 < figures.path_mm < 40 and len(figures.T_kidney_camera) == figures.believed.sum()
+    assert any(m.from_s >= 2.5 and m.to_s <= 4.5 for m in figures.moments)
+    assert second in figures.time_in_s or figures.moments
+
+
+def test_the_report_needs_nothing_but_itself(vid, record, tmp_path):
+    path = write_session_report(vid, Replay(record, speed=0), tmp_path / "report.html")
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"(?:src|href)=\"(?!data:)", text) and "http" not in text
+    for part in ("Path", "What was seen", "Calyces", "Doubtful moments", "duration", "mm/s"):
+        assert part in text
+    assert text.count("<img ") >= 4
+
+
+def request(port, path):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    found = answer.status, answer.read()
+    connection.close()
+    return found
+
+
+def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, phantom_lumen):
+    pages = []
+
+    @contextmanager
+    def observer(desk):
+        with web_page(desk, port=0) as live:
+            pages.append(live)
+            yield
+
+    navigator = Navigator(Tracker(vid, phantom_lumen))
+    done = []
+    thread = threading.Thread(
+        target=lambda: done.append(hold_navigation(navigator, Replay(record, speed=0), observer=observer))
+    )
+    thread.start()
+    until = time.monotonic() + 30
+    while not pages and time.monotonic() < until:
+        time.sleep(0.05)
+    page: LivePage = pages[0]
+    port = page.server.get_port()
+    assert page.url == f"http://127.0.0.1:{port}" and request(port, "/")[0] == 200
+    for path in ("/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/etc/passwd", "/..\\..\\etc\\passwd"):
+        status, content = request(port, path)
+        assert status in (400, 404) and b"root:" not in content
+    assert page.server.request_share_url() is None
+    page.choose("C")
+    page.choose("C")
+    while navigator.located < 60 and time.monotonic() < until:
+        time.sleep(0.05)
+    page.desk.player.stop()
+    thread.join(timeout=20)
+    assert done and done[0].located == 60
+
+
+def test_on_a_slow_machine_the_scene_waits(vid, phantom_lumen, monkeypatch):
+    """Without a graphics card every change of it takes a core for a while, and the words must keep coming."""
+    page = LivePage(Desk(Navigator(Tracker(vid, phantom_lumen)), None, None, lambda: None), port=0)
+    try:
+        clock = [1000.0]
+        monkeypatch.setattr("ursnav_torch.page.live.time", SimpleNamespace(monotonic=lambda: clock[0]))
+        changes = {}
+        for effort in (0, 2):
+            page._scene, start = Mock(), clock[0]
+            while clock[0] < start + 30:
+                page._show_pictures(NavigationState(effort=effort))
+                clock[0] += 0.1
+            changes[effort] = page._scene.show_camera.call_count
+        assert changes[0] == pytest.approx(100, abs=3) and changes[2] == pytest.approx(20, abs=2)
+    finally:
+        page.close()
+
+
+def test_a_camera_that_stays_is_not_sent_again(vid):
+    server = Mock()
+    scene = KidneyScene(server, vid.kidney, lambda name: None)
+    T = vid.T_kidney_camera[3]
+    scene.show_camera(T)
+    scene._camera.position = None
+    scene.show_camera(T)
+    assert scene._camera.position is None
+    scene.show_camera(vid.T_kidney_camera[4])
+    assert np.array_equal(scene._camera.position, vid.T_kidney_camera[4][:3, 3])
+    scene.show_camera(None)
+    assert scene._camera.visible is False
+
+
+def test_views_of_a_vid_stored_without_pictures_are_drawn_again(vid, renderer, tmp_path):
+    bare = Pictures(replace(vid, folder=tmp_path))
+    drawn, stored = bare.view(3).astype(float), Pictures(vid).view(3)
+    stored = cv2.resize(stored, drawn.shape[1::-1], interpolation=cv2.INTER_AREA).astype(float)
+    assert np.corrcoef(drawn.ravel(), stored.ravel())[0, 1] > 0.97
+
+
+def test_exploring_without_a_place_to_save_says_so(vid, tmp_path):
+    page = ExplorePage(vid, None, port=0)
+    try:
+        page.go_to("B")
+        before = page.T_kidney_camera.copy()
+        page.fly("look left")
+        assert not np.allclose(before, page.T_kidney_camera)
+        page.take_view()
+        with pytest.raises(InputError, match="out=FOLDER"):
+            page.save()
+        assert page.collection.T_kidney_camera[0] is not page.T_kidney_camera
+    finally:
+        page.close()

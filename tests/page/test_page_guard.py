@@ -1,0 +1,101 @@
+"""Who may talk to the page's server, asked by real handshakes."""
+
+import http.client
+
+import pytest
+
+from ursnav_torch.errors import UrsnavError
+from ursnav_torch.page import start_server
+from ursnav_torch.page.guard import guarded_server, why_refused
+from ursnav_torch.page.server import stop_server
+
+viser = pytest.importorskip("viser")
+
+
+@pytest.fixture(scope="module")
+def port():
+    server = start_server("127.0.0.1", 0, "guarded")
+    yield server.get_port()
+    stop_server(server)
+
+
+def status(port, host, origin=None, upgrade=False):
+    """What the server answers a request with these headers, and the first line of its text."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest("GET", "/", skip_host=True)
+    headers = {"Host": host, "Origin": origin}
+    if upgrade:
+        headers |= {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+                    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+                    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}  # fmt: skip
+    for name, value in headers.items():
+        if value is not None:
+            connection.putheader(name, value.replace("PORT", str(port)))
+    connection.endheaders()
+    answer = connection.getresponse()
+    found = answer.status
+    connection.close()
+    return found
+
+
+@pytest.mark.parametrize("upgrade", [False, True], ids=["page", "websocket"])
+@pytest.mark.parametrize("host", ["127.0.0.1:PORT", "localhost:PORT", "[::1]:PORT"])
+def test_own_pages_and_programs_without_an_origin_are_let_in(port, host, upgrade):
+    for origin in (None, f"http://{host}"):
+        assert status(port, host, origin, upgrade) == (101 if upgrade else 200)
+
+
+@pytest.mark.parametrize("upgrade", [False, True], ids=["page", "websocket"])
+@pytest.mark.parametrize(
+    ("host", "origin"),
+    [
+        ("127.0.0.1:PORT", "https://evil.example"),
+        ("127.0.0.1:PORT", "http://evil.example:PORT"),
+        ("127.0.0.1:PORT", "null"),
+        ("127.0.0.1:PORT", "http://127.0.0.1:1"),  # another server of this computer
+        ("127.0.0.1:PORT", "http://127.0.0.1:PORT.evil.example"),
+        ("127.0.0.1:PORT", ""),
+        ("evil.example:PORT", "http://evil.example:PORT"),  # DNS rebinding
+        ("evil.example:PORT", None),
+        ("127.0.0.1:1", None),
+        ("127.0.0.1", None),
+        ("", None),
+        (None, None),
+    ],
+)
+def test_foreign_origins_and_hosts_are_refused(port, host, origin, upgrade):
+    assert status(port, host, origin, upgrade) == 403
+
+
+def test_a_header_given_twice_is_refused():
+    own = "127.0.0.1:8080"
+    assert why_refused([own], [f"http://{own}"], 8080) == ""
+    assert why_refused([own, own], [], 8080) and why_refused([own], [f"http://{own}", "http://evil.example"], 8080)
+    assert why_refused(["localhost"], ["http://localhost"], 80) == ""
+
+
+def test_a_server_that_cannot_be_guarded_is_not_used():
+    from websockets.asyncio import server as library
+
+    serve = library.serve
+    with pytest.raises(UrsnavError, match="cannot be guarded"), guarded_server():
+        pass
+    assert library.serve is serve
+
+
+def test_a_server_that_came_up_without_a_guard_is_stopped_again(monkeypatch):
+    import contextlib
+
+    from ursnav_torch.page import server
+
+    @contextlib.contextmanager
+    def unasked():
+        yield
+        raise UrsnavError("cannot be guarded")
+
+    monkeypatch.setattr(server, "guarded_server", unasked)
+    port = server.free_port()
+    with pytest.raises(UrsnavError, match="cannot be guarded"):
+        start_server("127.0.0.1", port, "unguarded")
+    with pytest.raises(ConnectionError):
+        status(port, "127.0.0.1:PORT")

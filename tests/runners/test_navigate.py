@@ -1,0 +1,82 @@
+"""The runners navigate and explore."""
+
+import numpy as np
+import pytest
+
+from ursnav_torch.devices import Frame, Stamp
+from ursnav_torch.session import Recorder, Replay
+
+
+@pytest.fixture(scope="module")
+def record(vid, renderer, tmp_path_factory):
+    path = tmp_path_factory.mktemp("navigate") / "my record, ä=1"
+    with Recorder(path) as recorder:
+        for i in range(20):
+            T = vid.T_kidney_camera[3].copy()
+            T[:3, 3] += 0.3 * np.sin(i / 4) * T[:3, 2]
+            recorder.write(Frame(Stamp(i, i / 15, 1e9 + i / 15), renderer.render(T).image))
+    return path
+
+
+def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path):
+    out = tmp_path / "my session"
+    done = run(
+        "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "hardware.speed=0",
+        "viewer=none", f"out={out}",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert "20 pictures, 20 located" in done.out and "of its wall seen" in done.out and "report.html" in done.out
+    assert "<svg" not in (text := (out / "report.html").read_text(encoding="utf-8")) and "Doubtful moments" in text
+    rows = [r.row for r in Replay(out).results()]
+    assert len(rows) == 20 and all({"state", "latency_s", "effort"} <= set(row) for row in rows)
+    again = run(
+        "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "viewer=none", f"out={out}"
+    )
+    assert again.code == 1 and "exists already" in again.err
+
+
+def test_a_simulated_session_ends_after_its_time(run, vid):
+    done = run("navigate", f"vid={vid.folder}", "hardware=simulated", "hardware/tracker=none", "viewer=none",
+               "hardware.twin.sensor=null", "seconds=3")  # fmt: skip
+    assert done.code == 0, done.err
+    assert "located" in done.out
+
+
+@pytest.mark.parametrize("runner", ["navigate", "explore"])
+def test_other_computers_are_kept_out(run, vid, record, runner):
+    arguments = {
+        "navigate": ["hardware=replay", f"hardware.path={record}", "viewer.host=0.0.0.0"],
+        "explore": ["host=0.0.0.0"],
+    }[runner]
+    done = run(runner, f"vid={vid.folder}", *arguments)
+    assert done.code == 1 and "ssh -L" in done.err and "Traceback" not in done.err
+
+
+def test_exploring_ends_after_its_time_and_says_what_was_kept(run, vid):
+    done = run("explore", f"vid={vid.folder}", "port=0", "seconds=0.5")
+    assert done.code == 0 and "0 views and 0 landmarks were kept" in done.out and "page: http://127.0.0.1:" in done.err
+
+
+def test_a_kidney_without_a_vid_is_explored_and_leaves_nothing_behind(run, phantom, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    phantom.mesh.export(tmp_path / "my lumen, ä=1.stl")
+    done = run(
+        "explore", "kidney=mesh", f"kidney.path={tmp_path / 'my lumen, ä=1.stl'}", "views.views_per_calyx=2",
+        "views.passage_views=2", "camera.width=96", "camera.height=96", "port=0", "seconds=0.5",
+    )  # fmt: skip
+    assert done.code == 0 and "0 views and 0 landmarks were kept" in done.out, done.err
+    assert "page: http://127.0.0.1:" in done.err and not any((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.parametrize("what", [[], ["kidney=phantom", "vid=some_vid"]])
+def test_exploring_takes_a_vid_or_a_kidney(run, what):
+    done = run("explore", *what)
+    assert done.code == 2 and "vid=FOLDER or kidney=" in done.err
+
+
+def test_a_place_to_save_that_is_taken_is_refused_before_anybody_flies(run, vid, tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "poses.csv").touch()
+    done = run("explore", f"vid={vid.folder}", f"out={tmp_path / 'kept'}", "port=0", "seconds=0.5")
+    assert done.code == 1 and "exists already" in done.err and "page:" not in done.err

@@ -1,0 +1,43 @@
+import numpy as np
+
+from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
+from ursnav_torch.tracking.place_search import TrackSettings
+
+GOOD, BAD = Evidence(0.8, 0.3, 1.5), Evidence(0.4, -0.1, 1.2)
+
+
+def after(evidence: Evidence, pictures: int, seconds: float = 0.1) -> OwnKidneyTest:
+    test = OwnKidneyTest(TrackSettings())
+    for _ in range(pictures):
+        test.add(evidence, seconds)
+    return test
+
+
+def test_good_pictures_are_believed_after_two_and_bad_ones_give_up_later() -> None:
+    assert after(GOOD, 1).verdict is None and after(GOOD, 2).verdict is True
+    assert after(BAD, 3).verdict is None and after(BAD, 6).verdict is False
+
+
+def test_a_long_good_track_outlasts_a_bad_stretch_but_not_any() -> None:
+    test = after(GOOD, 200)
+    for _ in range(10):
+        test.add(BAD, 0.1)
+    assert test.verdict is True
+    for _ in range(30):
+        test.add(BAD, 0.1)
+    assert test.verdict is False
+
+
+def test_what_counts_is_time_not_pictures() -> None:
+    np.testing.assert_allclose(after(GOOD, 5, seconds=0.02).trust, after(GOOD, 1).trust)
+
+
+def test_every_kind_of_evidence_counts_its_way() -> None:
+    def odds(score: float = 0.5, lead: float = 0.0, fit: float = 1.2, off: float | None = None) -> float:
+        return Evidence(score, lead, fit, off).log_odds(TrackSettings())
+
+    assert odds(score=0.52) > odds() > odds(score=0.48)
+    assert odds(lead=0.1) > odds() > odds(lead=-0.05)
+    assert odds(fit=1.1) > odds() > odds(fit=1.3)  # more to be seen, and aligned no better
+    assert odds(off=0.5) > odds() > odds(off=9.0)
+    assert -1.0 <= odds(score=-1.0) < 0 < odds(score=1.0) <= 2.0

@@ -1,0 +1,136 @@
+"""Following the scope through simulated flights: it holds on, bridges, finds back, and refuses another kidney."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import ThesisSettings
+from ursnav_torch.geometry import look_along, rotation_angle
+from ursnav_torch.kidney import Kidney, make_phantom_kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking.place_search import SensorReading, TrackSettings
+from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
+from ursnav_torch.vid import PlanSettings, Vid, build_vid
+
+
+def flight(kidney: Kidney, calyx: int, step_mm: float = 0.8) -> np.ndarray:
+    """Poses (N, 4, 4) in along the centerline to 4 mm before a calyx's tip."""
+    points = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)]
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    stations = np.arange(along[-1] - 14.0, along[-1] - 4.0, step_mm)
+    at, ahead = (np.stack([np.interp(stations + d, along, points[:, i]) for i in range(3)], 1) for d in (0, 4))
+    return look_along(at, ahead - at, np.linspace(0, 0.3, len(stations)))
+
+
+@pytest.fixture(scope="module")
+def tracker(vid: Vid) -> Tracker:
+    return Tracker(vid)
+
+
+@pytest.fixture
+def fresh(tracker: Tracker) -> Iterator[Tracker]:
+    tracker.reset()
+    yield tracker
+
+
+def follow(tracker: Tracker, renderer: RaycastRenderer, poses: np.ndarray, start: int = 0) -> list[Tracked]:
+    return [tracker.step(renderer.render(T).image, (start + i) / 10) for i, T in enumerate(poses)]
+
+
+def off_mm(answers: list[Tracked], poses: np.ndarray) -> np.ndarray:
+    return np.array(
+        [
+            np.inf if a.T_kidney_camera is None else np.linalg.norm(a.T_kidney_camera[:3, 3] - T[:3, 3])
+            for a, T in zip(answers, poses, strict=True)
+        ]
+    )
+
+
+def test_a_flight_into_a_calyx_is_followed(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    poses = flight(phantom, 2)
+    answers = follow(fresh, renderer, poses)
+    settled = off_mm(answers, poses)[8:]  # within a second
+    assert {a.state for a in answers[8:]} == {TRACKING}
+    assert np.median(settled) < 0.6 and settled.max() < 2.0
+    last = answers[-1]
+    assert last.T_kidney_camera is not None
+    assert float(rotation_angle(last.T_kidney_camera, poses[-1])) < np.radians(10)
+    assert last.calyx == 2 and last.confidence > 0.8
+
+
+def test_the_same_pictures_give_the_same_answers(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    poses = flight(phantom, 1)[:5]
+    first = off_mm(follow(fresh, renderer, poses), poses)
+    fresh.reset()
+    np.testing.assert_array_equal(first, off_mm(follow(fresh, renderer, poses), poses))
+
+
+def test_white_pictures_are_bridged_but_not_for_ever(
+    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, lens: Camera
+) -> None:
+    poses = flight(phantom, 2)
+    follow(fresh, renderer, poses)
+    white = np.full((lens.height, lens.width), 255, np.uint8)
+    answers = [fresh.step(white, (len(poses) + i) / 10) for i in range(15)]
+    assert answers[2].state == TRACKING and off_mm(answers[2:3], poses[-1:])[0] < 3.0
+    assert np.isnan(answers[2].score)
+    confidence = [a.confidence for a in answers[:9]]
+    assert confidence == sorted(confidence, reverse=True)
+    assert answers[-1].state == SEARCHING and answers[-1].T_kidney_camera is None
+    again = follow(fresh, renderer, poses[-3:], start=len(poses) + 15)
+    assert again[-1].state == TRACKING and off_mm(again, poses[-3:])[-1] < 2.0
+
+
+def test_a_scope_put_elsewhere_is_found_within_two_seconds(
+    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer
+) -> None:
+    follow(fresh, renderer, flight(phantom, 2))
+    there = np.repeat(flight(phantom, 5)[-1:], 20, axis=0)
+    answers = follow(fresh, renderer, there, start=20)
+    assert off_mm(answers, there)[-1] < 1.5
+    assert answers[-1].state == TRACKING and answers[-1].calyx == 5
+
+
+def test_what_motion_forbids_is_held_against_a_pose(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    poses = flight(phantom, 2)
+    assert not fresh._expected(0.1, None)(poses).any()  # before the first picture nothing is known
+    follow(fresh, renderer, poses)
+    near, far, elsewhere = fresh._expected(0.1, None)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
+    assert near == 0.0 > far > elsewhere >= -fresh.settings.better_by
+    sensor = SensorReading(poses[-8, :3, 3], np.zeros(3), 0.5)
+    told = fresh._expected(0.1, sensor)(np.stack([poses[-1], poses[-8]]))
+    assert told[1] > told[0]
+
+
+def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    pose, offset = flight(phantom, 3)[-1], np.array([0.0, 1.2, -4.0])
+    sensor = SensorReading(pose[:3, :3] @ offset + pose[:3, 3], offset, 0.5)
+    image = renderer.render(pose).image
+    answers = [fresh.step(image, i / 10, sensor) for i in range(5)]
+    assert off_mm(answers[-1:], pose[None])[0] < 0.8
+
+
+@pytest.mark.slow
+def test_another_kidney_ends_lost(vid: Vid, lens: Camera, plan: PlanSettings, phantom: Kidney) -> None:
+    other = make_phantom_kidney(7, calyces=6)
+    renderer, tracker = RaycastRenderer(other.mesh, lens), Tracker(vid)
+    poses = np.concatenate([flight(other, c)[::-1] for c in range(6)])
+    states = [a.state for a in follow(tracker, renderer, poses)]
+    assert states[-1] == LOST
+    assert states.count(TRACKING) < 0.3 * len(states)
+
+
+def test_features_without_maps_are_refused(phantom: Kidney, lens: Camera, plan: PlanSettings, tmp_path: Path) -> None:
+    few = PlanSettings(views_per_calyx=2, passage_views=2)
+    thesis = build_vid(phantom, lens, ThesisSettings(), RaycastRenderer, few, tmp_path / "thesis", workers=1)
+    with pytest.raises(InputError, match="features=default"):
+        Tracker(thesis)
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(InputError, match="newcomers < hypotheses"):
+        TrackSettings(newcomers=100)

@@ -1,0 +1,84 @@
+"""What the motion model holds probable, and what smoothing does to a track."""
+
+import numpy as np
+import pytest
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import look_along
+from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.tracking.smooth import PoseFilter, SmoothSettings
+
+
+def at(x: float, turn: float = 0.0) -> np.ndarray:
+    return look_along(np.array([x, 0.0, 0.0]), np.array([np.cos(turn), np.sin(turn), 0.0]))
+
+
+def here(to_tips: list[float]) -> Hypotheses:
+    return Hypotheses(at(0.0)[None], np.array([to_tips]), np.ones(1))
+
+
+def log(T: list[np.ndarray], to_tips: list[list[float]], seconds: float = 0.1, unit: float = 1.0) -> np.ndarray:
+    return transition(here([10.0]), np.array(T), np.array(to_tips), seconds, MotionSettings(), unit)
+
+
+def test_the_farther_and_the_more_turned_the_less_probable() -> None:
+    p = log([at(0), at(1), at(3), at(30), at(1, 0.5)], [[10.0], [10.0], [10.0], [10.0], [10.0]])
+    assert p[0] > p[1] > p[2] > p[3]
+    assert p[4] < p[1]
+
+
+def test_through_a_wall_is_as_far_as_around_it() -> None:
+    through, along = log([at(1), at(1)], [[30.0], [11.0]])
+    assert through < along - 3
+
+
+def test_more_time_lets_the_scope_go_farther_and_jumps_are_never_impossible() -> None:
+    quick, slow = (log([at(5), at(0)], [[10.0], [10.0]], seconds) for seconds in (0.1, 1.0))
+    assert slow[0] - slow[1] > quick[0] - quick[1]
+    assert np.isfinite(log([at(1e4)], [[1e4]])).all()
+
+
+def test_a_larger_phantom_is_larger_in_every_step() -> None:
+    once = transition(here([10.0]), at(1)[None], np.array([[11.0]]), 0.1, MotionSettings(), 1.0)
+    twice = transition(here([20.0]), at(2)[None], np.array([[22.0]]), 0.1, MotionSettings(), 2.0)
+    np.testing.assert_allclose(once, twice)
+
+
+def test_smoothing_keeps_a_steady_track_and_calms_a_noisy_one() -> None:
+    rng, still, noisy = np.random.default_rng(0), PoseFilter(), PoseFilter()
+    for i in range(30):
+        steady = still.update(at(0.5 * i), i / 10, 0.8)
+        shaken = at(0.5 * i)
+        shaken[:3, 3] += rng.normal(0, 0.4, 3)
+        calmed = noisy.update(shaken, i / 10, 0.8)
+    assert np.linalg.norm(steady[:3, 3] - at(14.5)[:3, 3]) < 0.15
+    assert np.linalg.norm(calmed[:3, 3] - at(14.5)[:3, 3]) < 0.7
+    np.testing.assert_allclose(calmed[:3, :3] @ calmed[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_badly_aligned_pose_moves_the_track_less() -> None:
+    moved = []
+    for score in (0.8, 0.4):
+        track = PoseFilter()
+        for i in range(10):
+            track.update(at(0.0), i / 10, 0.8)
+        moved.append(track.update(at(2.0), 1.0, score)[0, 3])
+    assert 0 <= moved[1] < 0.5 * moved[0]
+
+
+def test_a_scope_that_is_not_seen_comes_to_rest() -> None:
+    track = PoseFilter()
+    for i in range(10):
+        track.update(at(1.0 * i), i / 10, 0.8)
+    a, b, c = (track.predict(t) for t in (1.0, 3.0, 6.0))
+    assert a is not None and b is not None and c is not None
+    assert 9.0 < a[0, 3] < b[0, 3] < 14.0
+    assert c[0, 3] - b[0, 3] < 0.05
+    assert PoseFilter().predict(1.0) is None
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(InputError, match="0 < jump < 1"):
+        MotionSettings(jump=0.0)
+    with pytest.raises(InputError, match="above 0"):
+        SmoothSettings(fade_s=0.0)

@@ -1,0 +1,53 @@
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ursnav_torch.geometry import look_along
+from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.runs.track_rows import track_rows
+from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.vid import Vid
+
+
+@pytest.fixture(scope="module")
+def moments(phantom: Kidney, renderer: RaycastRenderer) -> list[Moment]:
+    """Eight pictures on the way to a calyx, the fifth all white."""
+    points = phantom.centerline.points_mm[phantom.centerline.path_to(1)][::4]
+    poses = look_along(points[:-1], np.diff(points, axis=0), np.zeros(len(points) - 1))[-12:-4]
+    images = [renderer.render(T).image for T in poses]
+    images[4] = np.full_like(images[4], 255)
+    return [Moment(i, i / 10, image, str(i)) for i, image in enumerate(images)]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_reading_ahead_changes_no_answer(vid: Vid, moments: list[Moment], live: bool) -> None:
+    alone, beside = Tracker(vid), Tracker(vid)
+    wanted = [alone.step(m.image, m.t_s) for m in moments]
+    found = list(follow_source(beside, Source(lambda: iter(moments), len(moments), "pictures", live)))
+    assert [m.frame for m, _ in found] == list(range(len(moments)))
+    for (_, a), b in zip(found, wanted, strict=True):
+        assert (a.state, a.calyx) == (b.state, b.calyx) and np.isclose(a.confidence, b.confidence)
+        assert (a.T_kidney_camera is None) == (b.T_kidney_camera is None)
+        if a.T_kidney_camera is not None and b.T_kidney_camera is not None:
+            np.testing.assert_allclose(a.T_kidney_camera, b.T_kidney_camera, atol=1e-6)
+
+
+def rows_of(vid: Vid, pictures: Callable[[], Iterator[Moment]]) -> Iterator[tuple[dict[str, Any], Tracked]]:
+    tracker = Tracker(vid)
+    return track_rows(tracker, follow_source(tracker, Source(pictures, 2, "pictures")))
+
+
+def test_a_source_that_breaks_says_so_and_one_without_pictures_gives_no_row(vid: Vid, moments: list[Moment]) -> None:
+    def broken():  # type: ignore[no-untyped-def]
+        yield moments[0]
+        raise OSError("the disk is gone")
+
+    rows = rows_of(vid, broken)
+    assert next(rows)[0]["frame"] == 0
+    with pytest.raises(OSError, match="disk is gone"):
+        next(rows)
+    assert list(rows_of(vid, lambda: iter(()))) == []

@@ -1,0 +1,18 @@
+"""The header of every CSV file that is read or written, once (design: file formats)."""
+
+#: A pose ``T_kidney_camera``: position in mm, quaternion x, y, z, w.
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+#: The views of a VID.
+VIEW_COLUMNS = ("view", "calyx", *POSE_COLUMNS)
+#: Poses as the thesis's Unity scene wrote them: left-handed, meters.
+UNITY_COLUMNS = ("x_unity", "y_unity", "z_unity", "qx", "qy", "qz", "qw")
+#: What `match` writes.
+MATCH_COLUMNS = ("image", "calyx", *POSE_COLUMNS, "view", "distance", "confidence", "accepted", "seconds", "error")
+#: What `track` writes.
+TRACK_COLUMNS = ("frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds")
+#: True poses of pictures.
+TRUTH_COLUMNS = ("image", "calyx", *POSE_COLUMNS)
+#: An EM sensor's position and axis in the EM frame; ``frame`` or ``image`` and ``t_s`` stand before them where known.
+EM_COLUMNS = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
+#: Landmarks in both frames.
+LANDMARK_COLUMNS = ("kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")

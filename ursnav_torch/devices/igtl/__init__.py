@@ -1,0 +1,1 @@
+"""OpenIGTLink: messages as bytes, and a server."""

@@ -1,0 +1,1 @@
+"""Robots: the contract, its safety rules, and a driver for each controller."""

@@ -1,0 +1,275 @@
+"""A robot on a GRBL 1.1 controller: axes X, Y pull the cables, Z drives the slider, the spindle PWM dims the LED.
+
+Motion is sent as relative jogs (``$J=``) that keep the board busy for ``horizon_s`` at most. GRBL has no
+watchdog of its own, so this is what bounds the motion after the host has died. The bytes follow GRBL's own
+interface and jogging documents (github.com/gnea/grbl, doc/markdown).
+"""
+
+import math
+import re
+import time
+
+import numpy as np
+
+from ursnav_torch.devices.base import JointRates, Joints
+from ursnav_torch.devices.robots.kinematics import Drive
+from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
+from ursnav_torch.devices.robots.safety import STOPPED, Limits
+from ursnav_torch.devices.serial_link import SerialLink
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.geometry import Array
+
+SOFT_RESET, STATUS, JOG_CANCEL = b"\x18", b"?", b"\x85"
+SHORTEST_JOG_S = 0.01
+ERRORS = {
+    "2": "bad number format",
+    "8": "not idle",
+    "9": "locked out during alarm or jog",
+    "11": "line too long",
+    "15": "jog target beyond the machine's travel",
+    "16": "invalid jog command",
+    "20": "unsupported command",
+    "22": "feed rate missing",
+}
+ALARMS = {"1": "hard limit hit", "2": "target beyond travel", "3": "reset while moving, position may be lost"}
+REPORT = re.compile(r"<(\w+)(?::\d+)?\|MPos:(-?[\d.]+),(-?[\d.]+),(-?[\d.]+)(?:\|[^<>]*)?>")
+SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
+
+
+class GrblRobot(Robot):
+    """The robot on a GRBL board; straight and withdrawn when it is connected: that is where joints are zero.
+
+    Args:
+        port: device path or pyserial URL.
+        drive: cables, drums and slider; GRBL's own steps per mm ($100..$102) must suit it.
+        limits: joint limits and speed caps.
+        horizon_s: longest motion queued on the board.
+        watchdog_s: stop after so long without a command.
+        deadline_s: how long the board may take to answer.
+        boot_s: how long it may take to start; opening the port restarts many boards.
+
+    Raises:
+        InputError: a time is out of range (see `Robot`).
+    """
+
+    def __init__(
+        self,
+        port: str,
+        drive: Drive | None = None,
+        limits: Limits | None = None,
+        horizon_s: float = 0.12,
+        watchdog_s: float = 0.5,
+        deadline_s: float = 0.4,
+        boot_s: float = 3.0,
+    ) -> None:
+        super().__init__(limits or Limits(), horizon_s, watchdog_s)
+        self.port, self.drive, self.deadline_s, self.boot_s = port, drive or Drive(), deadline_s, boot_s
+        self._link: SerialLink | None = None
+        self._settings: dict[int, float] = {}
+        self._offset_mm = np.zeros(3)
+        self._axes_mm: Array | None = None  # where all that was sent will end; None: ask the board first
+        self._last_axes_mm = np.zeros(3)
+        self._busy_until_s = 0.0
+        self._velocity = np.zeros(3)
+        self._rates = JointRates()
+        self._level = 0.0
+
+    def set_light(self, level: float) -> float:
+        """Dim the LED; GRBL refuses this while jogging (error 9), so motion pauses for it."""
+        self._check_connected()
+        speed = round(min(max(level, 0.0), 1.0) * self._settings[30])
+        with self._lock:
+            self._level = speed / self._settings[30]
+            if self.gate.state != STOPPED:
+                self._halt()
+                self._settle()
+                self._ask(f"M3S{speed}" if speed else "M5")
+        return self._level
+
+    def _open(self) -> None:
+        self._link = SerialLink(self.port, 115200)
+        self._reset()
+        self._settings = self._read_settings()
+        self._check_settings()
+        state, axes = self._status(self.deadline_s)
+        self._offset_mm, self._axes_mm, self._last_axes_mm = axes, np.zeros(3), np.zeros(3)
+        if state == "Alarm":
+            self.gate.emergency_stop("the controller woke up in alarm")
+
+    def _close(self) -> None:
+        if self._link:
+            self._link.close()
+            self._link = None
+
+    def _joints_ahead(self) -> Joints:
+        return self.drive.joints(self._settle() if self._axes_mm is None else self._axes_mm)
+
+    def _send(self, rates: JointRates) -> JointRates:
+        now = time.monotonic()
+        queued = max(0.0, self._busy_until_s - now)
+        before = self._velocity if queued else np.zeros(3)
+        velocity = self.drive.axes_mm(Joints(rates.bend_x_rad_s, rates.bend_y_rad_s, rates.insertion_mm_s))
+        ramp = self._ramp_s(before, velocity)
+        duration = self.horizon_s - queued - ramp
+        if duration < SHORTEST_JOG_S:
+            return self._rates if queued else JointRates()
+        step = np.round(velocity * duration, 5)
+        feed = round(float(np.linalg.norm(step)) / duration * 60, 2)
+        if not step.any() or feed <= 0:
+            return JointRates()
+        words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
+        self._ask(f"$J=G21G91{words}F{feed:.2f}")
+        self._axes_mm = None if self._axes_mm is None else self._axes_mm + step
+        self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
+        joints = self.drive.joints(step / duration)
+        self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
+        return self._rates
+
+    def _ramp_s(self, before: Array, after: Array) -> float:
+        """Time that the board needs to change velocity, (3,) mm/s each; corners are taken through a standstill."""
+        slowest = min(self._settings[n] for n in (120, 121, 122))
+        v0, v1 = float(np.linalg.norm(before)), float(np.linalg.norm(after))
+        straight = before @ after > 0.95 * v0 * v1
+        return (abs(v1 - v0) if straight else v0 + v1) / slowest
+
+    def _halt(self) -> None:
+        self._axes_mm = None
+        self._busy_until_s = 0.0
+        self._write(JOG_CANCEL)
+
+    def _kill(self) -> None:
+        self._axes_mm = None
+        self._busy_until_s = 0.0
+        self._write(SOFT_RESET)
+
+    def _recover(self) -> None:
+        try:
+            self._reset()
+        except DeviceNotConnectedError:  # plugged in again, perhaps
+            self._close()
+            self._link = SerialLink(self.port, 115200)
+            self._reset()
+        state, axes = self._status(self.deadline_s)
+        if state == "Alarm":
+            self._ask("$X")
+            state, axes = self._status(self.deadline_s)
+        if np.linalg.norm(axes) < 1e-3:  # after a power cut the board counts from zero again, from where it stands
+            self._offset_mm = axes - self._last_axes_mm
+        self._axes_mm = axes - self._offset_mm
+        if self._level:
+            self._ask(f"M3S{round(self._level * self._settings[30])}")
+
+    def _read_joints(self, timeout_s: float) -> tuple[Joints, bool]:
+        state, axes = self._status(timeout_s)
+        if state == "Alarm" and self.gate.state != STOPPED:
+            raise DeviceProtocolError(f"{self.port}: GRBL is in alarm; look for the cause, then acknowledge.")
+        self._last_axes_mm = axes - self._offset_mm
+        return self.drive.joints(self._last_axes_mm), state == "Jog"
+
+    def _settle(self) -> Array:
+        """Wait until the board stands still after a halt; its position (3,) is the new starting point."""
+        deadline = time.monotonic() + MAX_QUEUED_S
+        while True:
+            state, axes = self._status(self.deadline_s)
+            if state == "Idle":
+                self._axes_mm = self._last_axes_mm = axes - self._offset_mm
+                return self._last_axes_mm
+            if state == "Alarm" or time.monotonic() > deadline:
+                raise DeviceProtocolError(f"{self.port}: GRBL does not come to rest but is in state {state}.")
+            time.sleep(0.005)
+
+    def _reset(self) -> None:
+        self._link_or_fail().discard_input()
+        self._write(SOFT_RESET)
+        deadline = time.monotonic() + self.boot_s
+        while not (line := self._line(deadline)).startswith("Grbl "):
+            pass
+        if not line.startswith("Grbl 1.1"):
+            raise DeviceProtocolError(f"{self.port} greets with {line!r}; GRBL 1.1 is needed for jogging.")
+        self._axes_mm, self._busy_until_s = None, 0.0
+
+    def _read_settings(self) -> dict[int, float]:
+        settings = {}
+        self._write(b"$$\n")
+        deadline = time.monotonic() + 1.0
+        while (line := self._checked_line(deadline)) != "ok":
+            if found := SETTING.fullmatch(line):
+                settings[int(found[1])] = float(found[2])
+        missing = {13, 30, 32, 110, 111, 112, 120, 121, 122} - settings.keys()
+        if missing:
+            raise DeviceProtocolError(f"{self.port}: GRBL did not tell its settings {sorted(missing)}.")
+        return settings
+
+    def _check_settings(self) -> None:
+        """Refuse a board that would move for longer than it is told, or measure in inches."""
+        bend = self.limits.max_bend_rate_rad_s * self.drive.segment.cable_radius_mm
+        for n, cap in enumerate((bend, bend, self.limits.max_insertion_rate_mm_s)):
+            fastest, acceleration = self._settings[110 + n] / 60, self._settings[120 + n]
+            if fastest < cap:
+                raise InputError(
+                    f"GRBL allows axis {n} only {fastest:.2f} mm/s (${110 + n}), the speed cap is {cap:.2f} mm/s. "
+                    f"Raise ${110 + n} to {math.ceil(cap * 60)} or lower the cap."
+                )
+            if self.horizon_s + 2 * cap / acceleration > MAX_QUEUED_S:
+                need = math.ceil(2 * cap / (MAX_QUEUED_S - self.horizon_s))
+                raise InputError(
+                    f"GRBL's acceleration ${120 + n} is {acceleration:g} mm/s^2: axis {n} could not stop within "
+                    f"{MAX_QUEUED_S} s. Set it to {need} or more."
+                )
+        for n, what in ((13, "inches"), (32, "laser mode")):
+            if self._settings[n]:
+                raise InputError(f"GRBL is set to {what} (${n}={self._settings[n]:g}); set ${n}=0.")
+
+    def _status(self, timeout_s: float) -> tuple[str, Array]:
+        """Machine state and machine position (3,) in mm."""
+        self._write(STATUS)
+        deadline = time.monotonic() + timeout_s
+        while not (line := self._checked_line(deadline)).startswith("<"):
+            pass
+        found = REPORT.fullmatch(line)
+        if not found:
+            raise DeviceProtocolError(f"{self.port}: unreadable status {line!r}; GRBL needs $10=1 (MPos).")
+        return found[1], np.array([float(found[n]) for n in (2, 3, 4)])
+
+    def _ask(self, command: str) -> None:
+        """Send a line and wait for its ``ok``."""
+        self._write(command.encode("ascii") + b"\n")
+        deadline = time.monotonic() + self.deadline_s
+        while True:
+            line = self._checked_line(deadline)
+            if line == "ok":
+                return
+            if not line.startswith(("[", "<", ">")):  # news, reports and start-up lines are no answers
+                raise DeviceProtocolError(f"{self.port} answered {line!r} to {command!r}; expected 'ok'.")
+
+    def _checked_line(self, deadline: float) -> str:
+        """The next line, unless it is an error, an alarm or a greeting that nobody asked for."""
+        line = self._line(deadline)
+        kind, _, code = line.partition(":")
+        if self.gate.state == STOPPED and (kind == "ALARM" or line.startswith("Grbl ")):
+            return f"[{line}]"  # the answer to our own reset
+        if kind == "error":
+            raise DeviceProtocolError(f"{self.port}: GRBL error {code}: {ERRORS.get(code, 'see its list')}.")
+        if kind == "ALARM":
+            raise DeviceProtocolError(f"{self.port}: GRBL alarm {code}: {ALARMS.get(code, 'see its list')}.")
+        if line.startswith("Grbl "):
+            raise DeviceProtocolError(f"{self.port}: the controller was reset in mid-command; check its power.")
+        return line
+
+    def _line(self, deadline: float) -> str:
+        """The next line that is not empty."""
+        while True:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0:
+                raise DeviceTimeoutError(f"{self.port}: GRBL did not answer in time; is the board switched on?")
+            text = self._link_or_fail().read_until(b"\n", remaining).decode("ascii", "replace").strip()
+            if text:
+                return text
+
+    def _write(self, data: bytes) -> None:
+        self._link_or_fail().write(data)
+
+    def _link_or_fail(self) -> SerialLink:
+        if self._link is None:
+            raise DeviceNotConnectedError(f"{self.port} is not open; plug the board in, then acknowledge or connect().")
+        return self._link

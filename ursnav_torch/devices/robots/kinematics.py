@@ -1,0 +1,123 @@
+"""The bending segment and its cables: bend <-> cable pulls <-> motor steps, and joints -> tip pose.
+
+A segment of constant curvature (thesis §4.3.1: 20 mm long, up to 120 degrees). The bend is a vector: its
+length is the angle, its direction the axis in the x-y plane of the segment's base about which the tip turns.
+Two pairs of cables run at right angles; the pair *x* turns the tip about x, the pair *y* about y.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.devices.base import Joints
+from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import Array, transform_from
+
+#: Directions from the axis to the cables +x, -x, +y, -y in the base's x-y plane; pulling a cable (shortening
+#: it) turns the tip about the axis that names it: the cable at -y turns it about +x.
+CABLE_DIRECTIONS: Array = np.array([[0.0, -1.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A cable-driven segment of constant curvature; ``cable_radius_mm`` from its axis to the cables.
+
+    Raises:
+        InputError: a length is not positive.
+    """
+
+    length_mm: float = 20.0
+    cable_radius_mm: float = 2.0
+    max_bend_rad: float = math.radians(120.0)
+
+    def __post_init__(self) -> None:
+        for name in ("length_mm", "cable_radius_mm", "max_bend_rad"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"Segment {name} must be positive, got {getattr(self, name)}.")
+
+    def point_transform(self, bend_rad: ArrayLike, along_mm: float | None = None) -> Array:
+        """Transform (4, 4) to the base from the point ``along_mm`` up the segment (its tip without it).
+
+        Args:
+            bend_rad: (2,) bend of the whole segment about x and y.
+            along_mm: distance along the curve; may go beyond the tip or below 0 on the same circle.
+        """
+        bend = np.asarray(bend_rad, float)
+        s = self.length_mm if along_mm is None else along_mm
+        turn = bend * s / self.length_mm
+        theta = float(np.hypot(*turn))
+        R = Rotation.from_rotvec([*turn, 0.0]).as_matrix()
+        sideways = s / 2 * np.sinc(theta / 2 / np.pi) ** 2 * np.array([turn[1], -turn[0]])
+        return transform_from(R, [*sideways, s * np.sinc(theta / np.pi)])
+
+    def cable_lengths_mm(self, bend_rad: ArrayLike) -> Array:
+        """Lengths (4,) of the cables +x, -x, +y, -y inside the segment at a bend (2,)."""
+        bend = np.asarray(bend_rad, float)
+        toward = np.array([bend[1], -bend[0]])
+        return self.length_mm - self.cable_radius_mm * CABLE_DIRECTIONS @ toward
+
+    def bend_from_cables(self, lengths_mm: ArrayLike) -> Array:
+        """Bend (2,) of cable lengths (4,) in the order of `cable_lengths_mm`.
+
+        Raises:
+            InputError: a pair does not add up to twice the segment, so a cable is slack or stretched.
+        """
+        lengths = np.asarray(lengths_mm, float)
+        excess = lengths.reshape(2, 2).sum(axis=1) - 2 * self.length_mm
+        if np.abs(excess).max() > 0.01 * self.length_mm:
+            raise InputError(
+                f"Cable pairs are {excess.round(2)} mm too long or short together; expected {2 * self.length_mm} "
+                "mm a pair. Tension the cables."
+            )
+        x_plus, x_minus, y_plus, y_minus = lengths
+        return np.array([x_minus - x_plus, y_minus - y_plus]) / (2 * self.cable_radius_mm)
+
+    def pulls_mm(self, bend_rad: ArrayLike) -> Array:
+        """How far (2,) the motors of the pairs x and y have pulled their + cables in at a bend (2,)."""
+        return self.cable_radius_mm * np.asarray(bend_rad, float)
+
+    def bend_from_pulls(self, pulls_mm: ArrayLike) -> Array:
+        """The inverse of `pulls_mm`."""
+        return np.asarray(pulls_mm, float) / self.cable_radius_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The drive train: what the controller's three axes (cable x, cable y, slider) do to the joints.
+
+    ``steps_per_mm`` gives motor steps for a mm of cable, cable, slider. With the thesis's motors, 200 steps
+    times 16 microsteps times a gear of 5.18 on a 10 mm drum (31.4 mm a turn) are 528 a mm.
+    """
+
+    segment: Segment = Segment()
+    steps_per_mm: tuple[float, float, float] = (528.0, 528.0, 400.0)
+
+    def axes_mm(self, joints: Joints) -> Array:
+        """Axis positions (3,) in mm: cable pulls x and y, slider."""
+        pulls = self.segment.pulls_mm([joints.bend_x_rad, joints.bend_y_rad])
+        return np.array([*pulls, joints.insertion_mm])
+
+    def joints(self, axes_mm: ArrayLike) -> Joints:
+        """Joints of axis positions (3,) in mm; the inverse of `axes_mm`."""
+        axes = np.asarray(axes_mm, float)
+        bend = self.segment.bend_from_pulls(axes[:2])
+        return Joints(float(bend[0]), float(bend[1]), float(axes[2]))
+
+    def steps(self, joints: Joints) -> tuple[int, int, int]:
+        """Motor steps from the straight, withdrawn position, rounded to whole steps."""
+        x, y, z = np.rint(self.axes_mm(joints) * self.steps_per_mm).astype(int).tolist()
+        return x, y, z
+
+    def joints_from_steps(self, steps: ArrayLike) -> Joints:
+        """The inverse of `steps` to half a step."""
+        return self.joints(np.asarray(steps, float) / self.steps_per_mm)
+
+
+def tip_transform(segment: Segment, joints: Joints) -> Array:
+    """Tip pose (4, 4) in the slider's frame: forward along z by the insertion, then the bend."""
+    T = segment.point_transform([joints.bend_x_rad, joints.bend_y_rad])
+    T[2, 3] += joints.insertion_mm
+    return T

@@ -1,0 +1,1 @@
+"""EM trackers: one driver a file."""

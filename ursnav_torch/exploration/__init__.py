@@ -1,0 +1,1 @@
+"""What of the kidney was seen, what is next, and the way there."""

@@ -1,0 +1,20 @@
+"""The page in the browser: live navigation, and a kidney to fly through. It observes and passes on what is pressed;
+without it everything works the same.
+"""
+
+from ursnav_torch.page.explore import ExplorePage, explore_vid
+from ursnav_torch.page.live import LivePage, web_page
+from ursnav_torch.page.pictures import Pictures
+from ursnav_torch.page.scene import KidneyScene
+from ursnav_torch.page.server import check_address, start_server
+
+__all__ = [
+    "ExplorePage",
+    "KidneyScene",
+    "LivePage",
+    "Pictures",
+    "check_address",
+    "explore_vid",
+    "start_server",
+    "web_page",
+]

@@ -1,0 +1,256 @@
+"""What a session was like, as one HTML file that needs nothing else: path, coverage, calyces, doubtful moments."""
+
+import base64
+import html
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.devices import Frame
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.files import whole_file
+from ursnav_torch.geometry import transform_from_quaternion
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.navigation import confidence_words
+from ursnav_torch.reports.coverage import draw_coverage
+from ursnav_torch.reports.overview import draw_overview
+from ursnav_torch.session import Replay
+from ursnav_torch.session.hold import POSITION, QUATERNION
+from ursnav_torch.tracking.tracker import TRACKING
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+#: Below this confidence, or without a place, a moment is doubtful once it lasts so long.
+DOUBT, DOUBT_S = 0.6, 0.5
+#: Pictures farther apart count for no longer than this.
+LONGEST_GAP_S = 0.25
+#: The path is measured from point to point at least so far apart; longer steps than the last are jumps of the track.
+STEP_MM, JUMP_MM = 0.5, 4.0
+MOMENTS_SHOWN = 12
+#: For a calyx's picture a mm farther from its tip costs as much as this much confidence.
+FAR_COSTS = 0.02
+_STYLE = """
+body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1080px;color:#222}
+table{border-collapse:collapse;margin:1em 0}td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:left}
+figure{display:inline-block;margin:0 .8em .8em 0;vertical-align:top}figcaption{font-size:13px;color:#555}
+img{display:block;max-width:100%}footer{color:#666;border-top:1px solid #ccc;margin-top:2em}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A doubtful stretch of time: from, to, in seconds; the number of a picture in its middle; and why."""
+
+    from_s: float
+    to_s: float
+    frame: int
+    why: str
+
+
+@dataclass(slots=True)
+class SessionFigures:
+    """A session in figures.
+
+    Attributes:
+        t_s: (N,) of every picture located, from the first on.
+        frame: (N,) its number.
+        T_kidney_camera: (M, 4, 4) where the track was believed; ``believed`` (N,) says for which pictures.
+        time_in_s: by calyx, and blank for none.
+        best: by calyx the number of the picture that shows it surest and from near.
+        path_mm, speed_mm_s: length of the way, and the median speed while moving.
+        moments: doubtful ones.
+        latency_ms: median and 95th percentile.
+    """
+
+    t_s: Array
+    frame: NDArray[np.int64]
+    believed: NDArray[np.bool_]
+    T_kidney_camera: Array
+    time_in_s: dict[str, float] = field(default_factory=dict)
+    best: dict[str, int] = field(default_factory=dict)
+    path_mm: float = 0.0
+    speed_mm_s: float = 0.0
+    moments: list[Moment] = field(default_factory=list)
+    latency_ms: tuple[float, float] = (0.0, 0.0)
+
+
+def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
+    """The figures of a session that was navigated in a kidney; the record's results are used as they are."""
+    rows = [(r.frame, r.row) for r in replay.results() if "state" in r.row]
+    t = np.array([row["t_s"] for _, row in rows], float)
+    t -= t[0] if len(t) else 0.0
+    frame = np.array([number for number, _ in rows], np.int64)
+    believed = np.array([bool(row["accepted"]) for _, row in rows], bool)
+    T = _poses([row for _, row in rows if row["accepted"]])
+    found = SessionFigures(t, frame, believed, T)
+    lasted = np.minimum(np.diff(t, append=t[-1:]), LONGEST_GAP_S)
+    surest: dict[str, float] = {}
+    tips = {c.name: c.tip_mm for c in kidney.calyces}
+    for (number, row), seconds in zip(rows, lasted, strict=True):
+        if row["accepted"]:
+            name, sure = str(row["calyx"]), float(row["confidence"])
+            found.time_in_s[name] = found.time_in_s.get(name, 0.0) + float(seconds)
+            worth = sure - FAR_COSTS * _from_tip(row, tips.get(name)) / kidney.scale
+            if name and worth > surest.get(name, -np.inf):
+                surest[name], found.best[name] = worth, number
+    found.path_mm, found.speed_mm_s = _way(T[:, :3, 3], t[believed], kidney.scale)
+    found.moments = _doubtful([row for _, row in rows], t, frame)
+    latency = [1e3 * row["latency_s"] for _, row in rows if "latency_s" in row]
+    if latency:
+        found.latency_ms = float(np.median(latency)), float(np.percentile(latency, 95))
+    return found
+
+
+def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
+    """Write the report on a recorded session to an HTML file; returns its path.
+
+    Args:
+        vid: in whose kidney it was navigated.
+        replay: the record, with results.
+        path: of the file.
+    """
+    figures = session_figures(replay, vid.kidney)
+    coverage = Coverage(vid.kidney, vid.camera, LumenDistance.from_kidney(vid.kidney), vid.T_kidney_camera[::4])
+    passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
+    for T, seconds in zip(figures.T_kidney_camera, passed, strict=True):
+        coverage.add(T, float(seconds))
+    shown = figures.moments[:MOMENTS_SHOWN]
+    pictures = _frames(replay, {*figures.best.values(), *(m.frame for m in shown)})
+    parts = [
+        _summary(figures, len(vid.kidney.calyces)),
+        "<h2>Path</h2>",
+        *(_figure(_path_picture(vid, figures, side), "from the side" if side else "from the front") for side in (0, 1)),
+        "<h2>What was seen</h2>",
+        _figure(draw_coverage(coverage), "seen green, not seen red, out of reach gray"),
+        "<h2>Calyces</h2>",
+        _calyces(coverage, figures, pictures),
+        "<h2>Doubtful moments</h2>",
+        _moments(figures.moments, shown, pictures),
+    ]
+    with whole_file(path) as partial:
+        partial.write_text(
+            '<!doctype html><html lang="en"><meta charset="utf-8"><title>Session</title>'
+            f"<style>{_STYLE}</style><h1>Session</h1>{''.join(parts)}<footer>Research software, not a medical device."
+            "</footer></html>",
+            encoding="utf-8",
+        )
+    return path
+
+
+def _poses(rows: list[dict[str, Any]]) -> Array:
+    """T_kidney_camera (N, 4, 4) of results' rows."""
+    found = [transform_from_quaternion([r[c] for c in POSITION], [r[c] for c in QUATERNION]) for r in rows]
+    return np.array(found, float).reshape(-1, 4, 4)
+
+
+def _way(positions: Array, t: Array, scale: float) -> tuple[float, float]:
+    """Length of a path (N, 3) and the median speed over its steps of `STEP_MM`, jumps left out."""
+    kept = [0] if len(positions) else []
+    for i in range(1, len(positions)):
+        if np.linalg.norm(positions[i] - positions[kept[-1]]) >= STEP_MM * scale:
+            kept.append(i)
+    if len(kept) < 2:
+        return 0.0, 0.0
+    step = np.linalg.norm(np.diff(positions[kept], axis=0), axis=1)
+    seconds = np.diff(t[kept])
+    fine = (step <= JUMP_MM * scale) & (seconds > 0)
+    return float(step[fine].sum()), float(np.median(step[fine] / seconds[fine])) if fine.any() else 0.0
+
+
+def _from_tip(row: dict[str, Any], tip_mm: Array | None) -> float:
+    """Distance of a row's camera from a calyx's tip, mm."""
+    return 0.0 if tip_mm is None else float(np.linalg.norm(tip_mm - [row[c] for c in POSITION]))
+
+
+def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:
+    """Stretches without a place, or with one that is not sure."""
+    why = [_doubt(row) for row in rows]
+    moments, begun = [], 0
+    for i in range(1, len(rows) + 1):
+        if i == len(rows) or why[i] != why[begun]:
+            if why[begun] and t[i - 1] - t[begun] >= DOUBT_S:
+                moments.append(Moment(float(t[begun]), float(t[i - 1]), int(frame[(begun + i - 1) // 2]), why[begun]))
+            begun = i
+    return moments
+
+
+def _doubt(row: dict[str, Any]) -> str:
+    """Why a picture's answer is doubtful; blank where it is not."""
+    if row["accepted"]:
+        return "unsure" if row["confidence"] < DOUBT else ""
+    return "the picture shows too little" if row["state"] == TRACKING else str(row["state"])
+
+
+def _frames(replay: Replay, numbers: set[int]) -> dict[int, Picture]:
+    found: dict[int, Picture] = {}
+    for event in replay.events():
+        if isinstance(event, Frame) and event.stamp.sequence in numbers:
+            found[event.stamp.sequence] = event.image
+        if len(found) == len(numbers):
+            break
+    return found
+
+
+def _summary(figures: SessionFigures, calyces: int) -> str:
+    seconds = float(figures.t_s[-1]) if len(figures.t_s) else 0.0
+    tracked = figures.believed.mean() if len(figures.believed) else 0.0
+    rows = {
+        "duration": f"{seconds:.0f} s",
+        "pictures located": f"{len(figures.t_s)}, {tracked:.0%} of them with a place that was believed",
+        "calyces looked into": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
+        "path": f"{figures.path_mm:.0f} mm, {figures.speed_mm_s:.1f} mm/s while moving (median)",
+        "picture to pose": f"{figures.latency_ms[0]:.0f} ms median, {figures.latency_ms[1]:.0f} ms 95th percentile",
+        "doubtful moments": f"{len(figures.moments)}, {sum(m.to_s - m.from_s for m in figures.moments):.0f} s in all",
+    }
+    return f"<table>{''.join(f'<tr><th>{k}</th><td>{v}</td></tr>' for k, v in rows.items())}</table>"
+
+
+def _path_picture(vid: Vid, figures: SessionFigures, from_side: int) -> Picture:
+    """The kidney with the path, blue at its beginning and red at its end."""
+    overview = draw_overview(vid.kidney, 480, bool(from_side))
+    picture, points = overview.picture.copy(), figures.T_kidney_camera[:, :3, 3]
+    at = np.rint(8 * overview.project(points)).astype(int) if len(points) else np.zeros((0, 2), int)
+    hues = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
+    for i in range(1, len(at)):
+        if np.linalg.norm(points[i] - points[i - 1]) <= JUMP_MM * vid.kidney.scale:
+            color = hues[20 + 215 * i // len(at)].tolist()
+            cv2.line(picture, at[i - 1].tolist(), at[i].tolist(), color, 1, cv2.LINE_AA, 3)
+    return np.asarray(picture, np.uint8)
+
+
+def _calyces(coverage: Coverage, figures: SessionFigures, pictures: dict[int, Picture]) -> str:
+    rows, shown = [], []
+    for c in coverage.calyces():
+        name, number = html.escape(c.calyx), figures.best.get(c.calyx, -1)
+        rows.append(
+            f"<tr><th>{name}</th><td>{html.escape(c.pole)}</td><td>{c.verdict}</td><td>{c.share:.0%}</td>"
+            f"<td>{figures.time_in_s.get(c.calyx, 0.0):.1f} s</td></tr>"
+        )
+        if number in pictures:
+            shown.append(_figure(pictures[number], f"{name}: picture {number}"))
+    head = "<tr><th>calyx</th><th>pole</th><th>verdict</th><th>wall seen</th><th>time in it</th></tr>"
+    return f"<table>{head}{''.join(rows)}</table>{''.join(shown)}"
+
+
+def _moments(moments: list[Moment], shown: list[Moment], pictures: dict[int, Picture]) -> str:
+    if not moments:
+        return "<p>None.</p>"
+    figures = [
+        _figure(pictures[m.frame], f"{m.from_s:.1f} to {m.to_s:.1f} s: {m.why}") for m in shown if m.frame in pictures
+    ]
+    more = f"<p>{len(moments) - len(shown)} more are not shown.</p>" if len(moments) > len(shown) else ""
+    words = f"Without a place, or less than {confidence_words(DOUBT)} of it, for {DOUBT_S} s or more."
+    return f"<p>{words}</p>{''.join(figures)}{more}"
+
+
+def _figure(picture: Picture, caption: str) -> str:
+    """A picture inside the page."""
+    data = base64.b64encode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()).decode()
+    text = html.escape(caption, quote=True)
+    return f'<figure><img src="data:image/jpeg;base64,{data}" alt="{text}"><figcaption>{text}</figcaption></figure>'

@@ -1,0 +1,1 @@
+"""What runners call: files in, rooms called, files out."""

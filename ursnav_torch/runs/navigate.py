@@ -1,0 +1,62 @@
+"""A `navigate` run: devices or a record in, page, record and report out."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ursnav_torch.navigation import Governor, Navigator, Observer, hold_navigation, sensor_in_kidney
+from ursnav_torch.reports.session import write_session_report
+from ursnav_torch.session import Recorder, Replay, Rig
+from ursnav_torch.simulation import World
+from ursnav_torch.tracking.tracker import Tracker
+from ursnav_torch.vid import MakeRenderer, Vid
+
+REPORT = "report.html"
+
+
+def navigate_vid(
+    vid: Vid,
+    hardware: Replay | Callable[..., Rig],
+    make_renderer: MakeRenderer,
+    observer: Observer | None = None,
+    out: Path | None = None,
+    duration_s: float = 0.0,
+    em_to_kidney: Path | None = None,
+    sensor_offset_mm: list[float] | None = None,
+    latency_s: float = 0.13,
+    overwrite: bool = False,
+    config: Mapping[str, Any] | None = None,
+) -> str:
+    """Navigate in a VID's kidney until the session ends; record it and report on it where ``out`` says.
+
+    Args:
+        vid: the views; a simulated scope is in its kidney and looks through its lens.
+        hardware: a record, or what builds a rig (a partial of `session.build_rig`).
+        make_renderer: draws a simulated scope's pictures.
+        observer: a page, or None.
+        out: folder for the record, with the report in it; None keeps nothing.
+        duration_s: end after so long; 0 for no end.
+        em_to_kidney, sensor_offset_mm: registration of the EM tracker, and its sensor's place in the camera frame.
+        latency_s: time to a pose above which less is done with every picture.
+        overwrite: replace what stands in ``out``.
+        config: the session's configuration, kept with the record.
+
+    Returns:
+        The summary, for people to read.
+
+    Raises:
+        InputError: a result stands there already, or a file cannot be used.
+        DeviceError: a device cannot be connected.
+    """
+    recorder = None if out is None else Recorder(out, config, overwrite)
+    sensor = None if em_to_kidney is None else sensor_in_kidney(em_to_kidney, sensor_offset_mm or [0.0, 0.0, 0.0])
+    navigator = Navigator(Tracker(vid), sensor=sensor, governor=Governor(latency_s))
+
+    def world() -> World:
+        return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera))
+
+    summary = hold_navigation(navigator, hardware, world, recorder, duration_s, observer).text()
+    if out is None:
+        return summary
+    report = write_session_report(vid, Replay(out, speed=0), out / REPORT)
+    return f"{summary}\nrecord in {out}, report in {report}"

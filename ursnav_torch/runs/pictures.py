@@ -1,0 +1,80 @@
+"""Many pictures, one row each: what the `match` runner writes."""
+
+import glob
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import IMAGE_SUFFIXES, read_image
+from ursnav_torch.files import natural_key
+from ursnav_torch.localization.answers import Location
+from ursnav_torch.localization.locate import Localizer
+from ursnav_torch.vid import pose_cells
+
+
+def find_images(where: str) -> tuple[Path, list[Path]]:
+    """The pictures of a file, a folder or a glob, in natural order, and the folder their names are relative to.
+
+    Raises:
+        InputError: nothing there, or no picture among it; other files in a folder are passed over.
+    """
+    path = Path(where).expanduser()
+    if path.is_file():
+        return path.parent, [path]
+    if path.is_dir():
+        base, found = path, [p for p in path.rglob("*") if _is_picture(p)]
+        what = f"The folder {path} holds no picture"
+    else:
+        found = [p for p in map(Path, glob.glob(str(path), recursive=True)) if _is_picture(p)]
+        base = path.parent if found and all(p.parent == path.parent for p in found) else Path(_fixed_part(path))
+        what = f"There is no picture at {path}"
+    if not found:
+        raise InputError(f"{what}: images= takes a file, a folder or a glob of {', '.join(IMAGE_SUFFIXES)} files.")
+    return base, sorted(found, key=lambda p: natural_key(str(p.relative_to(base))))
+
+
+def locate_files(
+    localizer: Localizer, base: Path, paths: list[Path]
+) -> Iterator[tuple[dict[str, Any], Location | None]]:
+    """A row of `MATCH_COLUMNS` and the location of every picture; one that cannot be located has an ``error``."""
+    for path in paths:
+        row: dict[str, Any] = {"image": path.relative_to(base).as_posix()}
+        try:
+            location = localizer.locate(read_image(path))
+        except (FeatureError, InputError) as error:
+            yield row | {"error": str(error)}, None
+        else:
+            yield row | match_row(location), location
+
+
+def match_row(location: Location) -> dict[str, Any]:
+    """The columns of one location."""
+    pose: NDArray[np.float64] = location.T_kidney_camera
+    return {
+        "calyx": location.calyx_name,
+        **pose_cells(pose[None])[0],
+        "view": location.view,
+        "distance": location.distance,
+        "confidence": location.confidence,
+        "accepted": location.accepted,
+        "seconds": location.seconds,
+    }
+
+
+def _is_picture(path: Path) -> bool:
+    """By its name; a link that leads nowhere counts, and gets a row that says so."""
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.is_dir()
+
+
+def _fixed_part(pattern: Path) -> str:
+    """The folder before the first wildcard."""
+    parts: list[str] = []
+    for part in pattern.parts:
+        if glob.has_magic(part):
+            break
+        parts.append(part)
+    return str(Path(*parts)) if parts else "."

@@ -1,0 +1,135 @@
+"""A `track` run: pictures in, rows, coverage and the painted wall out."""
+
+import csv
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.columns import TRACK_COLUMNS
+from ursnav_torch.devices import Camera, SourceAtEndError
+from ursnav_torch.errors import InputError
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.report import coverage_report
+from ursnav_torch.files import Progress, cell, check_output_file, whole_file, write_json
+from ursnav_torch.reports.coverage import draw_coverage
+from ursnav_torch.runs.sources import live_source
+from ursnav_torch.runs.track_rows import track_rows
+from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.offline import follow_both_ways
+from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
+
+Sensor = Callable[[Moment], SensorReading | None]
+
+#: Every so many views of the VID are asked what they can see; neighbors see the same.
+_REACH_STRIDE = 4
+
+
+def track_source(
+    tracker: Tracker,
+    source: Source,
+    out: Path,
+    sensor: Sensor | None,
+    overwrite: bool,
+    progress: Progress,
+    offline: bool = False,
+) -> tuple[str, bool]:
+    """Track a source; write the rows to ``out`` and what was seen to ``.coverage.json`` and ``.png`` beside it.
+
+    Live rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
+    tracked so far.
+
+    Args:
+        tracker: fresh.
+        source: the pictures.
+        out: CSV file of the rows.
+        sensor: an EM reading for a picture.
+        overwrite: replace what stands there.
+        progress: shows how far it is.
+        offline: follow a recording both ways before anything is answered, see `track_offline`.
+
+    Returns:
+        The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
+
+    Raises:
+        InputError: a result stands there already, the source gives no picture, or offline is asked of a camera.
+    """
+    beside = [out.with_suffix(f".coverage.{kind}") for kind in ("json", "png")]
+    for path in beside:
+        check_output_file(path, overwrite)
+    vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
+    spent, start, interrupted = list[float](), time.perf_counter(), False
+    with whole_file(out, overwrite) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
+        writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
+        with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
+            try:
+                for row, tracked in track_rows(tracker, follow(tracker, source, sensor, advance), coverage):
+                    writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
+                    spent.append(tracked.seconds)
+                    states[tracked.state] = states.get(tracked.state, 0) + 1
+                    last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
+            except KeyboardInterrupt:
+                interrupted = True
+        if interrupted and not states:
+            raise KeyboardInterrupt
+        if not states:
+            raise InputError(f"{source.what} gave no picture at all.")
+    rate = len(spent) / (time.perf_counter() - start)
+    report = coverage_report(coverage, last)
+    write_json(beside[0], report | {"pictures": states, "ended": ended}, overwrite)
+    with whole_file(beside[1], overwrite) as partial:
+        partial.write_bytes(cv2.imencode(".png", draw_coverage(coverage))[1].tobytes())
+    summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)
+    if interrupted and offline:
+        summary += "\nThe rows are what live tracking answered: the way back was not finished."
+    return summary, source.live or not interrupted
+
+
+def camera_source(device: Camera, seconds: float | None) -> Source:
+    """The pictures of a camera, connected with the first and disconnected after the last, or after an error."""
+
+    def read() -> NDArray[np.uint8] | None:
+        try:
+            return device.read(5.0).image
+        except SourceAtEndError:
+            return None
+
+    source = live_source(read, seconds)
+
+    def moments() -> Iterator[Moment]:
+        with device:
+            yield from source.moments()
+
+    return replace(source, moments=moments)
+
+
+def _summary(
+    source: Source, states: dict[str, int], ended: str, coverage: Coverage, out: Path, interrupted: bool
+) -> str:
+    total = sum(states.values())
+    lines = [
+        f"{total} pictures: {states.get(TRACKING, 0)} tracking, {total - states.get(TRACKING, 0)} not; rows in {out}"
+    ]
+    if interrupted and not source.live:
+        lines.append(f"interrupted after {total} pictures of {source.what}: the rows so far are kept, and no more.")
+    elif 0 < source.length != total:
+        lines.append(
+            f"warning: {source.what} says it has {source.length} frames, {total} could be read: it is cut short."
+        )
+    if ended == LOST:
+        lines.append("The track ended lost: the pictures do not fit this kidney. Is it the right VID?")
+    lines += [f"  {c.calyx}: {c.verdict}, {c.share:.0%} of its wall seen" for c in coverage.calyces()]
+    return "\n".join(lines)
+
+
+def _speed(spent: list[float], rate: float) -> str:
+    median, slow = (1e3 * float(np.percentile(spent, q)) for q in (50, 95))
+    return f"{rate:.1f} pictures a second; {median:.0f} ms a picture, 95th percentile {slow:.0f} ms"

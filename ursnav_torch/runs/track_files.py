@@ -1,0 +1,146 @@
+"""A track's rows again: written for other tools, and scored where the true poses are known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.columns import POSE_COLUMNS
+from ursnav_torch.errors import InputError
+from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm, write_tum
+from ursnav_torch.files import check_output_file, number, read_csv, whole_file, write_json
+from ursnav_torch.tracking.tracker import TRACKING
+from ursnav_torch.vid import poses_from_rows
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackFile:
+    """The rows of a track.
+
+    Attributes:
+        frame: (N,) numbers of the pictures.
+        t_s: (N,) when they were taken.
+        T_kidney_camera: (N, 4, 4), nan where there is none.
+        calyx: of each, blank for none.
+        state: of each.
+    """
+
+    frame: NDArray[np.int64]
+    t_s: Array
+    T_kidney_camera: Array
+    calyx: list[str]
+    state: list[str]
+
+
+def read_track(path: Path) -> TrackFile:
+    """The rows that `track` wrote.
+
+    Raises:
+        InputError: there are none, or one cannot be read.
+    """
+    rows = read_csv(path, ("frame", "t_s", "calyx", *POSE_COLUMNS, "state"), "track")
+    T = np.full((len(rows), 4, 4), np.nan)
+    known = [i for i, row in enumerate(rows) if row["x_mm"]]
+    if known:
+        T[known] = poses_from_rows([rows[i] for i in known], path)
+    t_s, frame = (np.array([number(r, c, path, i + 2) for i, r in enumerate(rows)]) for c in ("t_s", "frame"))
+    return TrackFile(frame.astype(np.int64), t_s, T, [r["calyx"] for r in rows], [r["state"] for r in rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The true poses (N, 4, 4) of pictures 0 to N - 1, and their calyces (N), blank for none; None: not told."""
+
+    T_kidney_camera: Array
+    calyx: list[str] | None
+
+
+def read_truth(path: Path) -> Truth:
+    """A CSV file with the seven pose columns and perhaps ``calyx``, a row a picture from the first on.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    rows = read_csv(path, POSE_COLUMNS, "truth")
+    calyx = [row["calyx"] for row in rows] if "calyx" in rows[0] else None
+    return Truth(poses_from_rows(rows, path), calyx)
+
+
+def score_track(track: TrackFile, truth: Truth) -> dict[str, float | int | None]:
+    """A track beside the true poses: plain numbers by name, None where nothing is known.
+
+    Raises:
+        InputError: a picture has no true pose.
+    """
+    known = len(truth.T_kidney_camera)
+    if track.frame.max() >= known:
+        raise InputError(
+            f"The track goes to picture {track.frame.max()}, but the truth has {known} rows; it needs one for every "
+            "picture, from picture 0 on."
+        )
+    T_true = truth.T_kidney_camera[track.frame]
+    errors = pose_errors(track.T_kidney_camera, T_true)
+    named = ["" if truth.calyx is None else truth.calyx[i] for i in track.frame.tolist()]
+    right = [ours == theirs for ours, theirs in zip(track.calyx, named, strict=True) if theirs]
+    found = {
+        "right_calyx": np.mean(right) if right else np.nan,
+        "not_tracking": np.mean([state != TRACKING for state in track.state]),
+        "position_mm": _quantile(errors.position_mm, 0.5),
+        "position_90_mm": _quantile(errors.position_mm, 0.9),
+        "direction_deg": np.degrees(_quantile(errors.direction, 0.5)),
+        "roll_deg": np.degrees(_quantile(errors.roll, 0.5)),
+        "needle_mm": _quantile(errors.needle_mm, 0.5),
+        "trajectory_error_mm": trajectory_error_mm(errors),
+        "jitter_mm": jitter_mm(track.T_kidney_camera, T_true),
+        "within_5_mm": success(errors, 5.0),
+        "within_10_mm": success(errors, 10.0),
+        "frames_to_loss": frames_to_loss(errors),
+    }
+    numbers = {name: round(float(value), 4) if np.isfinite(value) else None for name, value in found.items()}
+    return {"pictures": len(track.frame)} | numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Besides:
+    """What is made of a track's rows, beside them: ``.score.json`` where the truth is known, and ``.tum``."""
+
+    out: Path
+    truth: Truth | None
+    tum: bool
+    overwrite: bool
+
+    def check(self) -> None:
+        """Refuse before the work, not after it.
+
+        Raises:
+            InputError: one of the files stands there already.
+        """
+        for wanted, ending in ((self.truth is not None, ".score.json"), (self.tum, ".tum")):
+            if wanted:
+                check_output_file(self.out.with_suffix(ending), self.overwrite)
+
+    def write(self) -> str:
+        """Write what is asked for, each whole or not at all; the score for people to read, blank without one.
+
+        Raises:
+            InputError: see `score_track`.
+        """
+        if self.tum:
+            track = read_track(self.out)
+            with whole_file(self.out.with_suffix(".tum"), self.overwrite) as partial:
+                write_tum(partial, track.t_s, track.T_kidney_camera)
+        if self.truth is None:
+            return ""
+        found = score_track(read_track(self.out), self.truth)
+        write_json(self.out.with_suffix(".score.json"), found, self.overwrite)
+        return "\nagainst the truth: " + ", ".join(
+            f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
+        )
+
+
+def _quantile(errors: Array, share: float) -> float:
+    known = errors[np.isfinite(errors)]
+    return float(np.quantile(known, share)) if len(known) else np.nan

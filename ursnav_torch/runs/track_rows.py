@@ -1,0 +1,36 @@
+"""A track's answers as the rows that `track` writes."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.tracking.follow import Moment
+from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.vid import pose_cells
+
+
+def track_rows(
+    tracker: Tracker, answers: Iterable[tuple[Moment, Tracked]], coverage: Coverage | None = None
+) -> Iterator[tuple[dict[str, Any], Tracked]]:
+    """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along.
+
+    A picture is painted when the track is believed, for the time since the one before.
+    """
+    last = None
+    for moment, tracked in answers:
+        passed = moment.t_s - last if last is not None else 0.0
+        last = moment.t_s
+        if coverage is not None and tracked.T_kidney_camera is not None and np.isfinite(tracked.score):
+            coverage.add(tracked.T_kidney_camera, passed)
+        yield track_row(moment, tracked, tracker), tracked
+
+
+def track_row(moment: Moment, tracked: Tracked, tracker: Tracker) -> dict[str, Any]:
+    """The columns of one answer; pose and calyx are blank unless tracking."""
+    row: dict[str, Any] = {"frame": moment.frame, "t_s": moment.t_s, "state": tracked.state}
+    if tracked.T_kidney_camera is not None:
+        row |= pose_cells(tracked.T_kidney_camera[None])[0]
+        row |= {"calyx": tracker.vid.calyx_name(tracked.calyx), "confidence": float(tracked.confidence)}
+    return row | {"seconds": tracked.seconds}

@@ -1,0 +1,134 @@
+"""``kidney=ct``: from a scan to a kidney."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.files import Progress, no_progress
+from ursnav_torch.geometry import T_RAS_LPS, apply
+from ursnav_torch.kidney.anatomy import Calyx, Kidney
+from ursnav_torch.kidney.build import build_kidney
+from ursnav_torch.kidney.checks import check_lumen
+from ursnav_torch.kidney.tables import read_calyces
+from ursnav_torch.segmentation.contrast import lumen_of_contrast
+from ursnav_torch.segmentation.curves import with_curves
+from ursnav_torch.segmentation.labels import label_counts, lumen_of_label
+from ursnav_torch.segmentation.lumen import Lumen
+from ursnav_torch.segmentation.markups import calyces_from_markups, curves_of, read_markups
+from ursnav_torch.segmentation.read import read_scan
+from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.surface import lumen_surface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CtKidney:
+    """What a scan gave.
+
+    Attributes:
+        scan: the whole scan.
+        lumen: the segmented part of it.
+        mesh: the lumen's checked surface in the kidney frame.
+        T_kidney_lps: (4, 4) patient coordinates to the kidney frame: the identity, or RAS <- LPS.
+    """
+
+    scan: Scan
+    lumen: Lumen
+    mesh: trimesh.Trimesh
+    T_kidney_lps: Array
+
+
+def load_ct_kidney(
+    path: Path | str,
+    series: str | None = None,
+    label: int | str | None = None,
+    side: str | None = None,
+    seed_mm: ArrayLike | None = None,
+    threshold_hu: float | None = None,
+    frame: str = "lps",
+    faces: int = 60_000,
+    calyces: Path | str | None = None,
+    centerline: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> Kidney:
+    """A kidney from a CT urography or from a label map of one.
+
+    The kidney frame is the patient's: LPS, or RAS where asked for; the head is at +z, so poles are named.
+
+    Args:
+        path: folder of DICOM slices, or NIfTI, NRRD, MetaImage.
+        series: UID of the DICOM series where the folder holds several.
+        label: number or name of the lumen's label in a label map; None takes the only one there, and segments a CT.
+        side: "left" or "right" of the patient, where both kidneys are to be seen.
+        seed_mm: (3,) a point in the contrast, LPS; None finds it.
+        threshold_hu: density above which contrast is grown; None tries from 240 HU on.
+        frame: "lps" or "ras".
+        faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
+        calyces: CSV as for `load_mesh_kidney` (kidney frame), or Slicer's .mrk.json; None finds and names them.
+        centerline: Slicer's .mrk.json with a curve a calyx, from the pelvis to its tip; None finds it.
+        progress: how far the search is.
+
+    Raises:
+        InputError: see `read_scan`, `lumen_of_label`, `lumen_of_contrast`, `check_lumen` and `build_kidney`.
+        MissingExtraError: the extra ``ct`` is not installed.
+    """
+    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
+    return name_kidney(found, calyces, centerline)
+
+
+def scan_lumen(
+    path: Path | str,
+    series: str | None,
+    label: int | str | None,
+    side: str | None,
+    seed_mm: ArrayLike | None,
+    threshold_hu: float | None,
+    frame: str,
+    faces: int,
+    progress: Progress,
+) -> CtKidney:
+    """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface."""
+    _check_choices(side, frame, faces)
+    with progress(1, "scans read") as advance:
+        scan = read_scan(path, series)
+        advance(1)
+    counts = label_counts(scan)
+    if label is not None and not counts:
+        raise InputError(f"{scan.source} is a CT and no label map; leave out kidney.label, or give the label map.")
+    if counts and (label is not None or len(counts) > 1):
+        lumen = lumen_of_label(scan, counts, label, side)
+    else:
+        lumen = lumen_of_contrast(scan, side, seed_mm, threshold_hu, progress)
+    T = np.eye(4) if frame == "lps" else T_RAS_LPS
+    mesh = lumen_surface(lumen, faces)
+    mesh.apply_transform(T)
+    return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0), T)
+
+
+def name_kidney(found: CtKidney, calyces: Path | str | None, centerline: Path | str | None = None) -> Kidney:
+    """The second half: calyces named or found, and the centerline."""
+    given: tuple[Calyx, ...] | None = None
+    pelvis: Array | None = None
+    if calyces is not None and str(calyces).lower().endswith(".json"):
+        given, pelvis = calyces_from_markups(read_markups(calyces), found.T_kidney_lps, str(calyces))
+    elif calyces is not None:
+        given, pelvis = read_calyces(calyces)
+    kidney = build_kidney(found.mesh, found.scan.source, 1.0, given, pelvis, (0.0, 0.0, 1.0))
+    if centerline is None:
+        return kidney
+    curves = [apply(found.T_kidney_lps, curve) for curve in curves_of(read_markups(centerline))]
+    return with_curves(kidney, curves, str(centerline))
+
+
+def _check_choices(side: str | None, frame: str, faces: int) -> None:
+    if side not in (None, "left", "right"):
+        raise InputError(f"kidney.side is {side!r}; accepted are left, right and null.")
+    if frame not in ("lps", "ras"):
+        raise InputError(f"kidney.frame is {frame!r}; accepted are lps and ras.")
+    if faces < 1000:
+        raise InputError(f"kidney.faces is {faces}; at least 1000 triangles are needed to show calyces.")

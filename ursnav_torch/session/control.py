@@ -1,0 +1,98 @@
+"""The cycle that turns the operator's hands into motion and light."""
+
+from dataclasses import replace
+from typing import Any
+
+from ursnav_torch.devices.base import (
+    CommandSample,
+    Gamepad,
+    JointRates,
+    Light,
+    LightSample,
+    Note,
+    OperatorInput,
+    RobotSample,
+    Stamper,
+)
+from ursnav_torch.devices.robots.robot import Robot
+from ursnav_torch.devices.robots.safety import STOPPED
+from ursnav_torch.errors import DeviceError
+
+
+class Control:
+    """One cycle of driving: hands in, motion and light out; call `step` 50 times a second.
+
+    Args:
+        robot: what moves; None drives nothing.
+        gamepad: what the operator holds.
+        light: what is dimmed, or None.
+        light_step: what one press of the light's buttons changes.
+    """
+
+    def __init__(
+        self, robot: Robot | None, gamepad: Gamepad, light: Light | None = None, light_step: float = 0.1
+    ) -> None:
+        self.robot, self.gamepad, self.light, self.light_step = robot, gamepad, light, light_step
+        self._level = 1.0
+        self._last: OperatorInput | None = None
+        self._note = Stamper()
+        self._cycle = 0
+
+    def step(self) -> list[OperatorInput | CommandSample | LightSample | RobotSample | Note]:
+        """Read the operator's hands once and act; every fifth time also ask the robot where it stands.
+
+        Returns:
+            What happened: the operator's input when it changed, the command as sent, and notes on faults; the robot
+            stops itself at a fault and waits for the operator's acknowledgment.
+
+        Raises:
+            DeviceError: the input device failed; the robot was stopped and disarmed.
+        """
+        try:
+            hands = self.gamepad.read()
+        except DeviceError:
+            if self.robot:
+                self.robot.disarm()
+            raise
+        events: list[Any] = []
+        if self._last is None or replace(hands, stamp=self._last.stamp) != self._last:
+            events.append(hands)
+        self._last = hands
+        self._cycle += 1
+        try:
+            events += self._light(hands)
+            events += self._drive(hands)
+        except DeviceError as error:
+            events.append(Note(self._note(), "error", str(error)))
+        return events
+
+    def _drive(self, hands: OperatorInput) -> list[Any]:
+        if self.robot is None:
+            return []
+        events: list[Any] = []
+        if hands.emergency_stop:
+            self.robot.emergency_stop("operator")
+        elif hands.acknowledge:
+            events += self._acknowledge(self.robot)
+        elif hands.arm:
+            self.robot.arm()
+        bend, push = self.robot.limits.max_bend_rate_rad_s, self.robot.limits.max_insertion_rate_mm_s
+        wanted = JointRates(hands.bend_x * bend, hands.bend_y * bend, hands.insertion * push)
+        events.append(self.robot.command(wanted, hands.dead_man))
+        if self._cycle % 5 == 0:
+            events.append(self.robot.read())
+        return events
+
+    def _acknowledge(self, robot: Robot) -> list[Any]:
+        """End a stop; the light, which a controller puts out with the motors, comes back as it was."""
+        stopped = robot.gate.state == STOPPED
+        robot.acknowledge()
+        if self.light is None or not stopped or robot.gate.state == STOPPED:
+            return []
+        return [self.light.set_level(self._level)]
+
+    def _light(self, hands: OperatorInput) -> list[Any]:
+        if self.light is None or (hands.light_step == 0 and self._cycle > 1):
+            return []
+        self._level = min(max(self._level + hands.light_step * self.light_step, 0.0), 1.0)
+        return [self.light.set_level(self._level)]

@@ -1,0 +1,28 @@
+"""The digital twin, simulated boards on pseudo-terminals, the EM field and a pilot: a lab without a lab."""
+
+from ursnav_torch.simulation.em_field import EmField
+from ursnav_torch.simulation.pilot import TwinPilot
+from ursnav_torch.simulation.simulated import (
+    SimulatedGrblRobot,
+    SimulatedNdiTracker,
+    SimulatedOpenIgtlTracker,
+    SimulatedRosserialRobot,
+    TwinCamera,
+    make_twin,
+)
+from ursnav_torch.simulation.twin import Scope, Twin
+from ursnav_torch.simulation.world import World
+
+__all__ = [
+    "EmField",
+    "Scope",
+    "SimulatedGrblRobot",
+    "SimulatedNdiTracker",
+    "SimulatedOpenIgtlTracker",
+    "SimulatedRosserialRobot",
+    "Twin",
+    "TwinCamera",
+    "TwinPilot",
+    "World",
+    "make_twin",
+]

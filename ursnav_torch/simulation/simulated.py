@@ -1,0 +1,161 @@
+"""The simulated devices: the real drivers, each with its counterpart behind a pseudo-terminal or socket."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.devices import Frame, GrblRobot, NdiTracker, OpenIgtlTracker, RobotSample, RosserialRobot
+from ursnav_torch.devices.cameras import LensCamera
+from ursnav_torch.errors import DeviceTimeoutError, InputError
+from ursnav_torch.geometry import Array, look_along
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.rendering import Renderer
+from ursnav_torch.simulation.em_field import EmField
+from ursnav_torch.simulation.grbl_board import GrblBoard
+from ursnav_torch.simulation.igtl_tracker import SimulatedIgtlTracker
+from ursnav_torch.simulation.ndi_unit import NdiUnit
+from ursnav_torch.simulation.port import SimulatedPort
+from ursnav_torch.simulation.rosserial_board import RosserialBoard
+from ursnav_torch.simulation.twin import Scope, Twin
+from ursnav_torch.simulation.world import World
+
+
+def make_twin(
+    world: World,
+    scope: Scope | None = None,
+    em: EmField | None = None,
+    sensor: str | None = None,
+    seed: int = 0,
+    lumen: LumenDistance | None = None,
+) -> Twin:
+    """A scope that lies withdrawn in a kidney's pelvis and looks to the middle of its calyces.
+
+    Args:
+        world: the anatomy, whose walls stop the scope, and what draws it.
+        scope: the scope.
+        em: the EM tracker's world.
+        sensor: preset of what spoils its pictures (``thesis_simulation``, ``thesis_phantom``, ``in_vivo_like``); None
+            for clean ones, gray.
+        seed: of the faults.
+        lumen: the kidney's distances where they are known already.
+
+    Raises:
+        InputError: an unknown preset, or the root of the centerline lies in a wall.
+    """
+    start = world.kidney.centerline.points_mm[0]
+    T_kidney_start = look_along(start, world.kidney.tips_mm.mean(axis=0) - start)
+    clearance_mm = (lumen or LumenDistance.from_kidney(world.kidney)).clearance_mm
+    return Twin(clearance_mm, _picture(world.renderer, sensor, seed), T_kidney_start, scope, em)
+
+
+def _picture(renderer: Renderer, sensor: str | None, seed: int) -> Callable[[Array], NDArray[np.uint8]]:
+    """What the scope's camera shows from a pose (4, 4)."""
+    if sensor is None:
+        return lambda T_kidney_camera: renderer.render(T_kidney_camera).image
+    from ursnav_torch.rendering.sensor import severity, simulate  # brings torch, for which a lab need not wait
+
+    rng = np.random.default_rng(seed)
+    faults = severity(sensor, 0.5, rng)
+    return lambda T_kidney_camera: simulate(renderer, T_kidney_camera, faults, rng)
+
+
+class TwinCamera(LensCamera):
+    """The twin's camera: pictures at a steady rate, drawn when they are due.
+
+    Args:
+        twin: the scope.
+        rate_hz: pictures a second.
+        calibration: camera JSON of the lens that the twin draws with, or None.
+
+    Raises:
+        InputError: the rate is not positive.
+    """
+
+    def __init__(self, twin: Twin, rate_hz: float = 15.0, calibration: str | Path | None = None) -> None:
+        super().__init__(calibration)
+        if rate_hz <= 0:
+            raise InputError(f"rate_hz must be positive, got {rate_hz}.")
+        self.twin, self.rate_hz = twin, rate_hz
+        self._due_s = 0.0
+
+    def read(self, timeout_s: float = 1.0) -> Frame:
+        """Wait for the next picture; raises as `Camera.read` does."""
+        self._check_connected()
+        wait = self._due_s - time.monotonic()
+        time.sleep(max(0.0, min(wait, timeout_s)))
+        if wait > timeout_s:
+            raise DeviceTimeoutError(f"The next picture is not due within {timeout_s} s.")
+        self._due_s = max(self._due_s + 1 / self.rate_hz, time.monotonic() - 1.0)
+        stamp = self._stamp()
+        return Frame(stamp, self.twin.image())
+
+    def _open(self) -> None:
+        self._due_s = time.monotonic()
+
+    def _close(self) -> None: ...
+
+
+class SimulatedGrblRobot(GrblRobot):
+    """The GRBL driver with a simulated board; takes the driver's other settings."""
+
+    def __init__(self, twin: Twin, **settings: Any) -> None:
+        self.board = GrblBoard()
+        self.board_port = SimulatedPort(self.board)
+        super().__init__(self.board_port.path, twin.scope.drive, **settings)
+        twin.drive_with(self.board.axes_mm, lambda: self.board.light)
+
+    def read(self, timeout_s: float = 0.5) -> RobotSample:
+        """As `Robot.read`, but with all the time that a simulated board is given on a busy machine."""
+        return super().read(max(timeout_s, self.deadline_s))
+
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.board_port.close()
+
+
+class SimulatedRosserialRobot(RosserialRobot):
+    """The rosserial driver with a simulated board; takes the driver's other settings."""
+
+    def __init__(self, twin: Twin, **settings: Any) -> None:
+        self.board = RosserialBoard()
+        self.board_port = SimulatedPort(self.board)
+        super().__init__([self.board_port.path], twin.scope.drive, **settings)
+        steps_per_mm = np.array(twin.scope.drive.steps_per_mm)
+        twin.drive_with(lambda: self.board.steps() / steps_per_mm, lambda: self.board.light)
+
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.board_port.close()
+
+
+class SimulatedNdiTracker(NdiTracker):
+    """The NDI driver with a simulated unit; takes the driver's other settings."""
+
+    def __init__(self, twin: Twin, rate_hz: float = 40.0, **settings: Any) -> None:
+        self.unit = NdiUnit(twin.sensor, rate_hz)
+        self.unit_port = SimulatedPort(self.unit, period_s=0.002)
+        super().__init__(self.unit_port.path, rate_hz=rate_hz, **settings)
+
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.unit_port.close()
+
+
+class SimulatedOpenIgtlTracker(OpenIgtlTracker):
+    """The OpenIGTLink driver with a simulated PLUS server; takes the driver's other settings."""
+
+    def __init__(self, twin: Twin, device: str = "ScopeToTracker", rate_hz: float = 40.0, **settings: Any) -> None:
+        self.server = SimulatedIgtlTracker(twin.sensor, device, rate_hz)
+        super().__init__(device, port=self.server.port, **settings)
+
+    def dispose(self) -> None:
+        """Disconnect and end the simulation."""
+        super().dispose()
+        self.server.close()

@@ -1,0 +1,59 @@
+"""Whether the pictures show the VID's kidney at all, or another one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ursnav_torch.tracking.place_search import TrackSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one picture says.
+
+    Attributes:
+        score: of the refined pose, for the picture as it was taken: what was learned as the scope's pattern makes
+            pictures of another kidney fit, too.
+        lead: by how much the views at that pose fit better than those anywhere else.
+        fit: of the best view; where it is high there is much to be seen, and a true pose aligns well.
+        off: standard deviations by which the pose misses the sensor's reading, None without one.
+    """
+
+    score: float
+    lead: float
+    fit: float
+    off: float | None = None
+
+    def log_odds(self, settings: TrackSettings) -> float:
+        """That the picture shows the VID's kidney, within what a single picture may count."""
+        s = settings
+        constant, score, lead, fit = s.own_kidney
+        odds = constant + score * self.score + lead * self.lead + fit * self.fit
+        if self.off is not None:
+            odds += float(np.clip(s.own_sensor - self.off, -s.most, s.most))
+        return float(np.clip(odds, -s.most, s.most_gain))
+
+
+class OwnKidneyTest:
+    """A sequential test with bounds (Wald, Sequential tests of statistical hypotheses, 1945).
+
+    Attributes:
+        trust: the log-odds gathered so far, that this is the VID's kidney.
+    """
+
+    def __init__(self, settings: TrackSettings) -> None:
+        self._settings = settings
+        self.trust = 0.0
+
+    def add(self, evidence: Evidence, seconds: float) -> None:
+        """Weigh one picture, taken some seconds after the one before."""
+        s = self._settings
+        gain = evidence.log_odds(s) * min(seconds, 4 * s.usual_s) / s.usual_s
+        self.trust = float(np.clip(self.trust + gain, -s.debt, s.credit))
+
+    @property
+    def verdict(self) -> bool | None:
+        """True when it is believed to be the VID's kidney, False when that is given up, None in between."""
+        if self.trust <= -self._settings.give_up:
+            return False
+        return True if self.trust >= self._settings.believe else None

@@ -1,0 +1,252 @@
+"""Following the scope through a video: a Bayesian filter over the views, and local refinement of the best pose.
+
+The scope's pose is one of many hypotheses, each a view turned as the scan found it. A picture weighs them by how well
+they fit, the motion model by how they follow from those before. Both work on all of the VID's views in every picture,
+so the filter finds back by itself after a loss. Only past pictures are used.
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment.refine import Prior
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, EdgePoints, Features
+from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.search.pose_mean import are_near
+from ursnav_torch.threads import one_thread_an_operation
+from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
+from ursnav_torch.tracking.pattern import ScopePattern
+from ursnav_torch.tracking.place_search import PlaceSearch, SensorReading, TrackSettings
+from ursnav_torch.tracking.pursuit import Pursuit, Weighed
+from ursnav_torch.tracking.smooth import PoseFilter, SmoothSettings
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
+_NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """One picture's answer.
+
+    Attributes:
+        state: ``tracking``, ``searching`` (no place leads yet) or ``lost`` (nothing fits as it should).
+        T_kidney_camera: (4, 4), or None unless tracking.
+        calyx: index of the calyx observed, -1 for none.
+        confidence: probability of that calyx among the hypotheses.
+        fit: of the best hypothesis to the picture, nan where that showed nothing.
+        score: how well the refined pose is aligned, 1 is perfect; nan likewise.
+        seconds: from picture to answer.
+        T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
+            showed nothing.
+        evidence: what the picture said on whether this is the kidney; None likewise.
+    """
+
+    state: str
+    T_kidney_camera: Array | None
+    calyx: int
+    confidence: float
+    fit: float
+    score: float
+    seconds: float
+    T_aligned: Array | None = None
+    evidence: Evidence | None = None
+
+
+class Tracker:
+    """Follows the scope in one kidney, picture by picture.
+
+    Args:
+        vid: the views; their features must have maps (the default features have).
+        lumen: distances along the lumen; made when None.
+        settings, motion, smoothing, refinement: how to weigh, what moves how, and how poses are refined.
+
+    Raises:
+        InputError: the VID's features have no maps.
+    """
+
+    def __init__(
+        self,
+        vid: Vid,
+        lumen: LumenDistance | None = None,
+        settings: TrackSettings | None = None,
+        motion: MotionSettings | None = None,
+        smoothing: SmoothSettings | None = None,
+        refinement: RefinementSettings | None = None,
+    ) -> None:
+        if not isinstance(vid.settings, DefaultSettings) or not vid.features.maps.numel():
+            raise InputError(
+                f"The VID {vid.folder} has features without maps, which tracking needs; build it with features=default."
+            )
+        self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
+        self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
+        self._refiner = Refiner(
+            vid, refinement or RefinementSettings(self.settings.tries + 3, iterations=6, fine_rounds=1), self.lumen
+        )
+        self._full_refinement = self._refiner.settings
+        self._pursuit = Pursuit(self._refiner, self.settings, vid.kidney.scale)
+        self.smoothing = smoothing or SmoothSettings()
+        self._smooth = PoseFilter(self.smoothing, vid.kidney.scale)
+        self._extractor = DefaultExtractor(vid.settings, vid.camera)
+        self.working_camera = self._extractor.working_camera
+        self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self.working_camera)
+        self.reset()
+
+    def ease(self, level: int) -> None:
+        """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.
+
+        Args:
+            level: 0 spends all that the settings say, 1 follows a good track by aligning two poses in a few steps
+                instead of searching around it, 2 or more also weighs a third of the hypotheses.
+        """
+        full, refinement = self.settings, self._full_refinement
+        few = max(full.hypotheses // 3, 2)
+        self._pursuit.tries = 2 if level else full.tries
+        self._refiner.settings = replace(refinement, iterations=4) if level else refinement
+        self._search.settings = replace(full, hypotheses=few, newcomers=max(few // 4, 1)) if level > 1 else full
+
+    def reset(self) -> None:
+        """Forget everything: the scope may be anywhere."""
+        self._smooth.reset()
+        self._before: Hypotheses | None = None
+        self._at_s: float | None = None
+        self._seen_s, self._state = 0.0, SEARCHING
+        self._test = OwnKidneyTest(self.settings)
+        self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
+        self._pursuit.reset()
+
+    def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
+        """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
+
+        Raises:
+            InputError: the picture cannot be of the VID's lens.
+        """
+        start = time.perf_counter()
+        return self.follow(self.extract(image), t_s, sensor, start)
+
+    def extract(self, image: NDArray[np.uint8]) -> Features | None:
+        """What `follow` needs of a picture, None where it shows nothing; the one may run beside the other.
+
+        Raises:
+            InputError: see `step`.
+        """
+        with torch.inference_mode(), one_thread_an_operation():
+            try:
+                return self._extractor.extract(image)
+            except FeatureError:
+                return None
+
+    def recall(self, relief: Tensor) -> Features:
+        """What `follow` needs, from no more than the relief (h, w) of what `extract` gave, ``fields[0]``."""
+        none = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
+        kept = Features(none, NO_MAPS, np.zeros((0, 0), bool), relief[None])
+        with torch.inference_mode(), one_thread_an_operation():
+            return self._extractor.with_relief(kept, relief)
+
+    def follow(
+        self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
+    ) -> Tracked:
+        """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``."""
+        start = time.perf_counter() if start is None else start
+        if features is None:
+            return self._bridge(t_s, start)
+        with torch.inference_mode(), one_thread_an_operation():
+            return self._follow(features, t_s, sensor, start)
+
+    def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
+        """The answer to a picture that shows something."""
+        passed = self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
+        as_taken, features = features, self._pattern.removed(features)
+        found, fits = self._search.weigh(features, self._before, passed, sensor)
+        fit = float(fits[found.weight.argmax()])
+        picture = Weighed(features, found, fits, self._expected(passed, sensor), sensor)
+        refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
+        if self._pattern.tells(refined.T_kidney_camera, refined.score):
+            self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
+        self._remember(found, refined.T_kidney_camera, t_s)
+        plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
+        evidence = self._judge(picture, refined.T_kidney_camera, plain, passed)
+        if self._state != TRACKING:
+            self._smooth.reset()
+            spent = time.perf_counter() - start
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera, evidence)
+        T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
+        calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
+        agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
+        confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._test.trust))
+        spent = time.perf_counter() - start
+        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence)
+
+    def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
+        """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
+        s, before, unit = self.settings, self._before, self.vid.kidney.scale
+
+        def prior(T: Array) -> Array:
+            log = np.zeros(len(T))
+            if before is not None:
+                log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, self.motion, unit)
+                log = np.maximum(log - log.max(), -s.better_by / s.motion_weight)
+            if sensor is not None:
+                log = log + sensor.log_probability(T)
+            return s.motion_weight * log
+
+        return prior
+
+    def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
+        """Keep the hypotheses, and the track's pose as one of them."""
+        own = self.settings.own_share * self._pursuit.trusted
+        kept = found.weight > _NEGLIGIBLE
+        to_tips = np.concatenate([found.to_tips_mm[kept], self.lumen.to_calyces(T[None, :3, 3])])
+        weight = np.append((1 - own) * found.weight[kept], own)
+        self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
+        self._at_s, self._seen_s = t_s, t_s
+
+    def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> Evidence:
+        """Settle the state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
+        near = self._near(picture.found.T_kidney_camera, T)
+        worst = float(picture.fits.min())  # what was not kept fits no better
+        here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
+        off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
+        evidence = Evidence(score, here - elsewhere, max(here, elsewhere), off)
+        self._test.add(evidence, seconds)
+        if self._test.verdict is not None:
+            self._state = TRACKING if self._test.verdict else LOST
+        return evidence
+
+    def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
+        """Which poses (K, 4, 4) are one place with another."""
+        return are_near(T_a, T_b, self.settings.near_mm * self.vid.kidney.scale, self.settings.near_deg)
+
+    def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
+        """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
+        expected = self._smooth.predict(t_s)
+        if expected is not None and not self._near(expected[None], T)[0]:
+            if score < self.settings.shaky:
+                return expected
+            self._smooth.reset()
+        T = self._smooth.update(T, t_s, score)
+        at = None if sensor is None else sensor.camera_at(T)
+        if sensor is not None and at is not None:
+            self._smooth.measure(at, sensor.sigma_mm)
+            T = self._smooth.pose()
+        return T
+
+    def _bridge(self, t_s: float, start: float) -> Tracked:
+        """The answer to a picture that shows nothing: where motion leads, for a while."""
+        if self._state == TRACKING and t_s - self._seen_s > self.settings.bridge_s:
+            self._state = SEARCHING
+            self._smooth.reset()
+        T = self._smooth.predict(t_s) if self._state == TRACKING else None
+        if T is None:
+            return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
+        calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
+        confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.bridge_s) / (1 + np.exp(-self._test.trust))
+        return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, time.perf_counter() - start)
