@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage, Coverage
-from ursnav_torch.exploration.route import Route, ScopeLimits, nearest_route, route_to
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.route import Route, ScopeLimits, route_to
+from ursnav_torch.exploration.target import next_target
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.navigation.state import Guidance
 from ursnav_torch.navigation.status import turn_words
@@ -39,17 +40,12 @@ class Guide:
         """Coverage and the way on from a pose, or from the last one known."""
         if T_kidney_camera is not None:
             self._at = T_kidney_camera[:3, 3]
-        verdicts, chosen = self.coverage.calyces(), self.chosen
-        route = self._route(verdicts, chosen)
+        chosen = self.chosen  # read once: another thread may choose meanwhile
+        if chosen >= 0:
+            route: Route | None = route_to(self.kidney, self._at, chosen, self.limits)
+        else:
+            route = next_target(self.coverage, self._at, self.limits)
         here = route or route_to(self.kidney, self._at, 0, self.limits)
         turn = turn_words(T_kidney_camera, route, self.kidney.scale) if route and T_kidney_camera is not None else ""
         name = self.kidney.calyces[chosen].name if chosen >= 0 else ""
-        return Guidance(here.branches[0], tuple(verdicts), self.coverage.seen(), route, turn, name)
-
-    def _route(self, verdicts: list[CalyxCoverage], chosen: int) -> Route | None:
-        """The way to the calyx chosen, else to the nearest unseen one, else to the nearest not inspected."""
-        if chosen >= 0:
-            return route_to(self.kidney, self._at, chosen, self.limits)
-        left = [i for i, c in enumerate(verdicts) if c.verdict not in (INSPECTED, OUT_OF_REACH)]
-        unseen = [i for i in left if verdicts[i].share < self.coverage.settings.glimpsed]
-        return nearest_route(self.kidney, self._at, unseen or left, self.limits)
+        return Guidance(here.branches[0], tuple(self.coverage.calyces()), self.coverage.seen(), route, turn, name)

@@ -14,7 +14,7 @@ from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import Camera, SourceAtEndError
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage
-from ursnav_torch.exploration.report import coverage_report
+from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, check_output_file, whole_file, write_json
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.runs.sources import live_source
