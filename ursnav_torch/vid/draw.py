@@ -92,8 +92,11 @@ def join(parts: list[ViewFeatures]) -> ViewFeatures:
 
 
 def save_features(path: Path, features: ViewFeatures) -> None:
-    """Write features as safetensors."""
+    """Write features as safetensors, readable by whom the umask lets read (the library alone would say 0600)."""
+    path.touch()
+    mode = path.stat().st_mode
     save_file({name: getattr(features, name).contiguous() for name in _FIELDS}, str(path))
+    path.chmod(mode)
 
 
 def load_features(path: Path) -> ViewFeatures:
@@ -107,6 +110,36 @@ def load_features(path: Path) -> ViewFeatures:
         return ViewFeatures(*(data[name] for name in _FIELDS))
     except (SafetensorError, KeyError, OSError) as error:
         raise InputError(f"{path} is damaged ({error}); copy it again or build the VID again.") from None
+
+
+def check_features(features: ViewFeatures, views: int, width: int, where: str) -> None:
+    """Refuse features that are not those of this many views: other counts, shapes or kinds of numbers.
+
+    Args:
+        features: to be checked.
+        views: how many there must be.
+        width: points a view that the extractor's settings allow.
+        where: names the file in errors.
+
+    Raises:
+        InputError: naming the field.
+    """
+    float32, points = torch.float32, (views, width)
+    wanted = {
+        "points": (float32, (*points, 2)),
+        "mask": (torch.bool, points),
+        "direction": (float32, points),
+        "weight": (float32, points),
+        "points_kidney": (float32, (*points, 3)),
+        "maps": (torch.float16, (views, *features.maps.shape[1:])),
+    }
+    for name, (kind, shape) in wanted.items():
+        found = getattr(features, name)
+        if found.dtype != kind or tuple(found.shape) != shape or (name == "maps" and found.ndim != 4):
+            raise InputError(
+                f"{where}: {name} is {found.dtype} {tuple(found.shape)}, expected {kind} {shape} for {views} views; "
+                "build the VID again."
+            )
 
 
 def _no_features(shape: tuple[int, ...]) -> Features:

@@ -1,0 +1,97 @@
+"""A VID proves itself whole when it is loaded: nothing in it can be changed without a word."""
+
+import json
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.torch import load_file, save_file
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.vid import Vid, load_vid
+from ursnav_torch.vid.draw import save_features
+from ursnav_torch.vid.store import write_description
+
+
+@pytest.fixture
+def folder(vid: Vid, tmp_path: Path) -> Path:
+    """A copy of the small VID, to be damaged."""
+    return shutil.copytree(vid.folder, tmp_path / "vid", ignore=shutil.ignore_patterns("images"))
+
+
+def _seal(folder: Path) -> None:
+    """Recompute every checksum, as somebody would who wants to be believed."""
+    description = json.loads((folder / "vid.json").read_text())
+    write_description(folder, {k: v for k, v in description.items() if k not in ("sha256", "checksum")})
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_flipped_bit_of_the_features_is_refused(folder: Path, seed: int) -> None:
+    path = folder / "features.safetensors"
+    data = bytearray(path.read_bytes())
+    at = int(np.random.default_rng(seed).integers(len(data)))
+    data[at] ^= 1 << seed % 8
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"features\.safetensors was changed after the VID was built"):
+        load_vid(folder)
+
+
+@pytest.mark.parametrize("kind", ["swapped", "halved"])
+def test_features_of_other_rows_are_refused(folder: Path, kind: str) -> None:
+    path = folder / "features.safetensors"
+    data = {k: v.clone() for k, v in load_file(str(path)).items()}
+    rows = [1, 0, *range(2, len(data["points"]))] if kind == "swapped" else list(range(len(data["points"]) // 2))
+    save_file({k: v[rows].contiguous() for k, v in data.items()}, str(path))
+    with pytest.raises(InputError, match="was changed"):
+        load_vid(folder)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("points", lambda t: t[:-1]),
+        ("mask", lambda t: t[:, :-1]),
+        ("weight", lambda t: t.double()),
+        ("maps", lambda t: t[:, 0]),
+    ],
+)
+def test_features_that_do_not_fit_the_views_are_refused_even_under_a_right_checksum(folder, field, change) -> None:
+    path = folder / "features.safetensors"
+    data = {k: v.clone() for k, v in load_file(str(path)).items()}
+    data[field] = change(data[field]).contiguous()
+    save_file(data, str(path))
+    _seal(folder)
+    with pytest.raises(InputError, match=rf"features\.safetensors: {field} is .*expected"):
+        load_vid(folder)
+
+
+def test_views_of_a_calyx_that_the_kidney_lacks_are_refused(folder: Path) -> None:
+    path = folder / "views.csv"
+    lines = path.read_text().splitlines()
+    cells = lines[1].split(",")
+    path.write_text("\n".join([lines[0], ",".join([cells[0], "elsewhere", *cells[2:]]), *lines[2:]]) + "\n")
+    _seal(folder)
+    with pytest.raises(InputError, match="names the calyces elsewhere; the kidney's are"):
+        load_vid(folder)
+
+
+@pytest.mark.parametrize("about", [None, [], {"scale": None, "source": "x"}, {"scale": "a"}])
+def test_a_description_without_its_kidney_is_refused(folder: Path, about: object) -> None:
+    description = json.loads((folder / "vid.json").read_text())
+    description = {k: v for k, v in description.items() if k not in ("sha256", "checksum")}
+    write_description(folder, description | {"kidney": about})
+    with pytest.raises(InputError, match="does not describe its kidney"):
+        load_vid(folder)
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o027, 0o077])
+def test_the_features_are_readable_by_whom_the_umask_lets_read(vid: Vid, tmp_path: Path, mask: int) -> None:
+    before = os.umask(mask)
+    try:
+        save_features(tmp_path / "f.safetensors", vid.features)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "f.safetensors").stat().st_mode) == 0o666 & ~mask
