@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from ursnav_torch.camera import load_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Settings, read_image
-from ursnav_torch.files import read_csv
 from ursnav_torch.kidney import load_mesh_kidney
 from ursnav_torch.localization import learn_confidence
 from ursnav_torch.rendering import HeadLight, Light, RaycastRenderer
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid, poses_from_rows
 
 STYLES = ("simulation", "phantom", "invivo")
@@ -58,7 +58,7 @@ def stills(folder: Path, kidney: str, style: str) -> list[Still]:
     """All pictures of one style of one kidney."""
     path = folder / kidney / style / "truth.csv"
     rows = read_csv(path, ("image", "calyx"), "truth")
-    poses = poses_from_rows(rows, path)
+    poses = poses_from_rows(rows)
     return [
         Still(kidney, style, r["image"], read_image(path.parent / r["image"]), r["calyx"], T)
         for r, T in zip(rows, poses, strict=True)

@@ -19,7 +19,6 @@ from benchmarks._em import OFFSET_MM, Drive, drive_through, readings, rms, simul
 from benchmarks._kidneys import data_folder
 from benchmarks._results import Report, overrides
 from ursnav_torch.errors import InputError, RegistrationError
-from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import Array, apply, inverse
 from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney, make_phantom_kidney
 from ursnav_torch.registration import (
@@ -34,6 +33,7 @@ from ursnav_torch.registration import (
     register_landmarks,
     register_surface,
 )
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import PlanSettings, plan_views, poses_from_rows
 
 #: The thesis's threshold, 15.10 mm on a phantom 1.8 times as large as life (Eq. 5.3).
@@ -81,7 +81,7 @@ def _real(report: Report, folder: Path, cuts: bool) -> None:
 def _recorded(folder: Path, part: str) -> tuple[Array, Array, Array]:
     """Readings (N, 3), axes (N, 3), and where the sensor truly was, kidney frame."""
     path = folder / f"{part}_truth.csv"
-    T = poses_from_rows(read_csv(path, ("image",), "truth"), path)
+    T = poses_from_rows(read_csv(path, ("image",), "truth"))
     samples = read_em_samples(folder / f"{part}_em.csv")
     return samples.position_mm, samples.axis, apply(T, np.broadcast_to(OFFSET_MM, (len(T), 3)))
 

@@ -7,9 +7,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.files import (
     check_output,
     commit,
-    number,
     partial_path,
-    read_csv,
     whole_file,
     write_csv,
     write_json,
@@ -82,40 +80,6 @@ def test_numpy_values_are_written_like_pythons(tmp_path: Path) -> None:
     np = pytest.importorskip("numpy")
     write_csv(tmp_path / "x.csv", ["a", "b", "c"], [{"a": np.float64(0.1), "b": np.bool_(True), "c": np.float32(0.1)}])
     assert (tmp_path / "x.csv").read_text() == "a,b,c\n0.1,true,0.1\n"
-
-
-def test_reading_takes_byte_order_marks_and_further_columns(tmp_path: Path) -> None:
-    path = tmp_path / "rows.csv"
-    path.write_text("﻿a,b,c\n1,2,3\n", encoding="utf-8")
-    assert read_csv(path, ["b", "a"], "poses") == [{"a": "1", "b": "2", "c": "3"}]
-
-
-@pytest.mark.parametrize(
-    ("content", "match"),
-    [
-        (b"", "has no rows; expected the columns a,b"),
-        (b"a,b\n", "has no rows"),
-        (b"a,c\n1,2\n", r"lacks the column\(s\) b; it has a, c"),
-        (b"a,b\n\xff\xfe\x00,1\n", "not readable as CSV"),
-        (b'a,b\n"' + b"x" * 200_000 + b"\n", "not readable as CSV"),
-    ],
-)
-def test_refuses_tables_that_are_none(tmp_path: Path, content: bytes, match: str) -> None:
-    path = tmp_path / "rows.csv"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=match):
-        read_csv(path, ["a", "b"], "poses")
-    with pytest.raises(InputError, match=r"no poses file .*nowhere\.csv"):
-        read_csv(tmp_path / "nowhere.csv", ["a"], "poses")
-    with pytest.raises(InputError, match="not readable"):
-        read_csv(tmp_path, ["a"], "poses")
-
-
-@pytest.mark.parametrize("text", ["", "x", "nan", "inf", None, "1,5"])
-def test_a_cell_that_is_no_number_is_named_by_its_place(text: str | None) -> None:
-    with pytest.raises(InputError, match=r"p\.csv, line 4: x_mm is .*expected a finite number"):
-        number({"x_mm": text}, "x_mm", Path("p.csv"), 4)  # type: ignore[dict-item]
-    assert number({"x_mm": " -1.5e1 "}, "x_mm", Path("p.csv"), 4) == -15
 
 
 def test_json_refuses_what_json_does_not_know(tmp_path: Path) -> None:

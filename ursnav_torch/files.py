@@ -105,44 +105,6 @@ def cell(value: Any) -> str:
     return f"{value:.6f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
 
 
-def read_csv(path: Path, required: Sequence[str], what: str) -> list[dict[str, str]]:
-    """The rows of a CSV file with at least the ``required`` columns.
-
-    Raises:
-        InputError: missing, not text, empty, or a column is missing; ``what`` names the kind of file.
-    """
-    try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:
-        raise InputError(f"There is no {what} file {path}.") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"The {what} file {path} is not readable as CSV: {error}.") from None
-    if not rows:
-        raise InputError(f"The {what} file {path} has no rows; expected the columns {','.join(required)}.")
-    missing = [name for name in required if name not in rows[0]]
-    if missing:
-        raise InputError(
-            f"The {what} file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(rows[0])}."
-        )
-    return rows
-
-
-def number(row: Mapping[str, str], column: str, path: Path, line: int) -> float:
-    """A finite number from a CSV cell.
-
-    Raises:
-        InputError: blank, not a number, or not finite; the message names file, line and column.
-    """
-    try:
-        value = float(row[column])
-    except (TypeError, ValueError):
-        value = float("nan")
-    if value - value != 0:
-        raise InputError(f"{path}, line {line}: {column} is {row.get(column)!r}, expected a finite number.")
-    return value
-
-
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sorts ``view2`` before ``view10``."""
     return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in re.split(r"(\d+)", name) if part]

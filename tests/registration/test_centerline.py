@@ -7,10 +7,10 @@ import pytest
 
 from benchmarks._em import OFFSET_MM, Drive, drive_through
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
-from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
 from ursnav_torch.registration import Registration, branch_directions, read_em_samples, register_centerline
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import poses_from_rows
 
 
@@ -97,7 +97,7 @@ def test_real_kidneys_from_the_path_alone(data: Path, name: str) -> None:
     kidney = load_mesh_kidney(data / name / "lumen.stl", calyces=data / name / "calyces.csv")
     samples = read_em_samples(data / name / "video_em.csv")
     truth = data / name / "video_truth.csv"
-    T = poses_from_rows(read_csv(truth, ("image",), "truth"), truth)
+    T = poses_from_rows(read_csv(truth, ("image",), "truth"))
     sensor = apply(T, np.broadcast_to(OFFSET_MM, (len(T), 3)))
     found = register_centerline(
         samples.position_mm, samples.axis, kidney.mesh, kidney.centerline, sensor_offset_mm=OFFSET_MM

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import trimesh
 
-from ursnav_torch.files import read_csv
 from ursnav_torch.kidney import Kidney, write_calyces
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import Vid, export_thesis, load_vid
 
 SMALL = (

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from ursnav_torch.files import read_csv
 from ursnav_torch.kidney import Kidney
+from ursnav_torch.tables import read_csv
 
 pytest.importorskip("manifold3d", reason="the extra ct is not installed")
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import apply, look_along
 from ursnav_torch.kidney import Kidney, load_mesh_kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.segmentation import Patient, place_kidney, read_scan, synthetic_ct, write_scan
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import load_vid
 
 pytest.importorskip("SimpleITK", reason="the extra ct is not installed")

@@ -9,10 +9,11 @@ import torch
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings
-from ursnav_torch.files import read_csv, write_csv
+from ursnav_torch.files import write_csv
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import Vid, build_vid, export_thesis, pose_cells, read_views
 
 

@@ -13,6 +13,7 @@ from ursnav_torch.features import read_image
 from ursnav_torch.geometry import apply, check_rigid, inverse
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tables import Row
 from ursnav_torch.vid import PlanSettings, Vid, build, build_vid, load_vid, plan_views
 from ursnav_torch.vid.store import poses_from_rows
 
@@ -113,9 +114,13 @@ def test_work_on_another_vid_is_not_taken_for_this_one(vid: Vid, plan: PlanSetti
 
 
 def test_poses_name_the_line_that_is_wrong() -> None:
-    row = dict.fromkeys(("x_mm", "y_mm", "z_mm", "qx", "qy", "qz"), "0") | {"qw": "1"}
-    np.testing.assert_array_equal(poses_from_rows([row], Path("v.csv")), np.eye(4)[None])
+    cells = dict.fromkeys(("x_mm", "y_mm", "z_mm", "qx", "qy", "qz"), "0") | {"qw": "1"}
+
+    def row(line: int, **changed: str) -> Row:
+        return Row(cells | changed, Path("v.csv"), line)
+
+    np.testing.assert_array_equal(poses_from_rows([row(2)]), np.eye(4)[None])
     with pytest.raises(InputError, match=r"v\.csv, line 3: qy"):
-        poses_from_rows([row, row | {"qy": ""}], Path("v.csv"))
+        poses_from_rows([row(2), row(3, qy="")])
     with pytest.raises(InputError, match="quaternion is zero"):
-        poses_from_rows([row | {"qw": "0"}], Path("v.csv"))
+        poses_from_rows([row(2, qw="0")])

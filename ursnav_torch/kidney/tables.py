@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Calyx, Centerline
+from ursnav_torch.tables import number, read_csv, whole_number
 
 Array = NDArray[np.float64]
 
@@ -33,17 +34,17 @@ def read_calyces(path: Path | str) -> tuple[tuple[Calyx, ...], Array | None]:
     Raises:
         InputError: the file is missing, has no such columns or no calyx, a name is empty or twice, a number is none.
     """
-    rows = _rows(path, ("calyx", *_POINT))
+    rows = read_csv(path, ("calyx", *_POINT), "calyces")
     names = [row["calyx"].strip() for row in rows]
     for name in names:
         if not name or names.count(name) > 1:
             raise InputError(
                 f"{path}: the calyx name {name!r} is {'used twice' if name else 'empty'}; name each one once."
             )
-    points = [np.array([_number(row, key, path) for key in _POINT]) for row in rows]
+    points = [np.array([number(row, key) for key in _POINT]) for row in rows]
     pelvis = next((p for n, p in zip(names, points, strict=True) if n.lower() == "pelvis"), None)
     calyces = tuple(
-        Calyx(name, point, (row.get("pole") or "").strip())
+        Calyx(name, point, row.get("pole", "").strip())
         for name, point, row in zip(names, points, rows, strict=True)
         if name.lower() != "pelvis"
     )
@@ -72,39 +73,13 @@ def read_centerline(path: Path | str, names: Sequence[str]) -> Centerline:
     Raises:
         InputError: the file is missing or damaged, or names a calyx that is not among ``names``.
     """
-    rows = _rows(path, ("node", "parent", "calyx", *_POINT, "radius_mm"))
+    rows = read_csv(path, ("node", "parent", "calyx", *_POINT, "radius_mm"), "centerline")
     unknown = {row["calyx"] for row in rows} - {"", *names}
     if unknown:
         raise InputError(f"{path} leads to calyces {sorted(unknown)}, but the calyces are {list(names)}.")
-    parent = np.array([int(_number(row, "parent", path)) for row in rows])
+    parent = np.array([whole_number(row, "parent") for row in rows])
     if not len(rows) or parent[0] != -1 or np.any(parent[1:] < 0) or np.any(parent >= np.arange(len(rows))):
         raise InputError(f"{path} is not a tree with every parent before its children; write it anew from the kidney.")
     calyx = np.array([names.index(row["calyx"]) if row["calyx"] else -1 for row in rows])
-    points = np.array([[_number(row, key, path) for key in _POINT] for row in rows])
-    return Centerline(points, np.array([_number(row, "radius_mm", path) for row in rows]), parent, calyx)
-
-
-def _rows(path: Path | str, columns: Sequence[str]) -> list[dict[str, str]]:
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            found = reader.fieldnames or []
-            rows = [row for row in reader if any(row.values())]
-    except FileNotFoundError as error:
-        raise InputError(f"There is no file {path}.") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as CSV: {error}") from error
-    missing = [c for c in columns if c not in found]
-    if missing:
-        raise InputError(f"{path} lacks the columns {missing}; found {list(found)}, needed {list(columns)}.")
-    return rows
-
-
-def _number(row: dict[str, str], column: str, path: Path | str) -> float:
-    try:
-        value = float(row[column])
-    except (TypeError, ValueError):
-        value = np.nan
-    if not np.isfinite(value):
-        raise InputError(f"{path}: {column} of {next(iter(row.values()))!r} is {row[column]!r}, not a number.")
-    return value
+    points = np.array([[number(row, key) for key in _POINT] for row in rows])
+    return Centerline(points, np.array([number(row, "radius_mm") for row in rows]), parent, calyx)

@@ -1,6 +1,5 @@
 """CSV files of registration: landmarks and EM samples."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import number, read_csv
 from ursnav_torch.geometry import Array
+from ursnav_torch.tables import numbers, read_csv
 
 _LANDMARK = ("kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")
 _POSITION = ("x_mm", "y_mm", "z_mm")
@@ -99,11 +98,11 @@ def read_landmarks(path: str | Path) -> Landmarks:
     Raises:
         InputError: the file cannot be read, a column is missing or a value is no number.
     """
-    rows = read_csv(Path(path), _LANDMARK, "landmark")
-    table = numbers(rows, _LANDMARK, path)
+    rows = read_csv(path, _LANDMARK, "landmark")
+    table = numbers(rows, _LANDMARK)
     axis = tuple(f"em_{name}" for name in _AXIS)
     has_axis = set(axis) <= rows[0].keys()
-    return Landmarks(table[:, 3:], table[:, :3], numbers(rows, axis, path) if has_axis else None)
+    return Landmarks(table[:, 3:], table[:, :3], numbers(rows, axis) if has_axis else None)
 
 
 def read_em_samples(path: str | Path) -> EmSamples:
@@ -112,30 +111,17 @@ def read_em_samples(path: str | Path) -> EmSamples:
     Raises:
         InputError: the file cannot be read, a column is missing, a value is no number or there is no row.
     """
-    rows = read_csv(Path(path), _POSITION, "EM")
+    rows = read_csv(path, _POSITION, "EM")
     has = rows[0].keys()
-    axis = numbers(rows, _AXIS, path) if set(_AXIS) <= has else np.full((len(rows), 3), np.nan)
+    axis = numbers(rows, _AXIS) if set(_AXIS) <= has else np.full((len(rows), 3), np.nan)
     length = np.linalg.norm(axis, axis=1, keepdims=True)
     key = next((name for name in ("image", "frame") if name in has), None)
     return EmSamples(
-        position_mm=numbers(rows, _POSITION, path),
+        position_mm=numbers(rows, _POSITION),
         axis=axis / np.where(length > 1e-9, length, np.nan),
-        t_s=numbers(rows, ("t_s",), path)[:, 0] if "t_s" in has else None,
-        key=tuple((row[key] or "").strip() for row in rows) if key else None,
+        t_s=numbers(rows, ("t_s",))[:, 0] if "t_s" in has else None,
+        key=tuple(row[key].strip() for row in rows) if key else None,
     )
-
-
-def numbers(rows: list[dict[str, str]], columns: tuple[str, ...], path: str | Path) -> Array:
-    """(N, C) values of some columns; blank is NaN.
-
-    Raises:
-        InputError: a value is not a finite number.
-    """
-    values = [
-        [number(row, name, Path(path), line) if (row[name] or "").strip() else math.nan for name in columns]
-        for line, row in enumerate(rows, start=2)
-    ]
-    return np.array(values, float).reshape(len(rows), len(columns))
 
 
 def join_names(names: Sequence[str], images: Sequence[str]) -> NDArray[np.int64]:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm, write_tum
-from ursnav_torch.files import check_output_file, number, read_csv, whole_file, write_json
+from ursnav_torch.files import check_output_file, whole_file, write_json
+from ursnav_torch.tables import number, read_csv, whole_number
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import poses_from_rows
 
@@ -43,11 +44,11 @@ def read_track(path: Path) -> TrackFile:
     """
     rows = read_csv(path, ("frame", "t_s", "calyx", *POSE_COLUMNS, "state"), "track")
     T = np.full((len(rows), 4, 4), np.nan)
-    known = [i for i, row in enumerate(rows) if row["x_mm"]]
+    known = [i for i, row in enumerate(rows) if row["x_mm"].strip()]
     if known:
-        T[known] = poses_from_rows([rows[i] for i in known], path)
-    t_s, frame = (np.array([number(r, c, path, i + 2) for i, r in enumerate(rows)]) for c in ("t_s", "frame"))
-    return TrackFile(frame.astype(np.int64), t_s, T, [r["calyx"] for r in rows], [r["state"] for r in rows])
+        T[known] = poses_from_rows([rows[i] for i in known])
+    frame, t_s = np.array([whole_number(row, "frame") for row in rows]), np.array([number(row, "t_s") for row in rows])
+    return TrackFile(frame, t_s, T, [r["calyx"] for r in rows], [r["state"] for r in rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ def read_truth(path: Path) -> Truth:
     """
     rows = read_csv(path, POSE_COLUMNS, "truth")
     calyx = [row["calyx"] for row in rows] if "calyx" in rows[0] else None
-    return Truth(poses_from_rows(rows, path), calyx)
+    return Truth(poses_from_rows(rows), calyx)
 
 
 def score_track(track: TrackFile, truth: Truth) -> dict[str, float | int | None]:

@@ -10,9 +10,8 @@ from scipy.stats import chi2
 
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import read_csv
 from ursnav_torch.geometry import Array
-from ursnav_torch.registration.files import EmSamples, join_names, numbers, read_em_samples, read_landmarks
+from ursnav_torch.registration.files import EmSamples, join_names, read_em_samples, read_landmarks
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.validation import (
     Comparison,
@@ -23,6 +22,7 @@ from ursnav_torch.registration.validation import (
     confusion,
     position_threshold,
 )
+from ursnav_torch.tables import Row, numbers, read_csv
 from ursnav_torch.vid import poses_from_rows
 
 BoolArray = NDArray[np.bool_]
@@ -120,7 +120,7 @@ def judge_matches(
             budget = replace(budget, match_mm=float(np.sqrt(np.mean(e_cam**2))))
     rows, images, samples, error = _read(Path(matches), em)
     usable = np.array([not e for e in error], bool)
-    T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok], Path(matches))
+    T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok])
     sensor, axis = samples.position_mm[usable], samples.axis[usable]
     comparison = compare_poses(T, sensor, axis, registration, np.array(sensor_offset_mm or (0.0, 0.0, 0.0)), budget)
     distance = np.full(len(rows), np.nan)
@@ -214,14 +214,14 @@ def _image_rows(verdicts: Verdicts) -> list[dict[str, Any]]:
     return rows
 
 
-def _read(matches: Path, em: str | Path) -> tuple[list[dict[str, str]], list[str], EmSamples, list[str]]:
+def _read(matches: Path, em: str | Path) -> tuple[list[Row], list[str], EmSamples, list[str]]:
     """Rows, their names, the reading of each, and what is missing in each ("": nothing)."""
     rows = read_csv(matches, ("calyx", *POSE_COLUMNS), "match")
     column = next((name for name in ("image", "frame") if name in rows[0]), None)
     if column is None:
         raise InputError(f"The match file {matches} lacks a column image (or frame, as `track` writes it).")
     images = [row[column] for row in rows]
-    t_s = numbers(rows, ("t_s",), matches)[:, 0] if "t_s" in rows[0] else None
+    t_s = numbers(rows, ("t_s",))[:, 0] if "t_s" in rows[0] else None
     samples = read_em_samples(em).for_images(images, t_s)
     visible = [bool(np.isfinite(position).all()) for position in samples.position_mm]
     error = [_what_is_missing(row, seen) for row, seen in zip(rows, visible, strict=True)]
@@ -230,10 +230,10 @@ def _read(matches: Path, em: str | Path) -> tuple[list[dict[str, str]], list[str
     return rows, images, samples, error
 
 
-def _what_is_missing(row: dict[str, str], seen: bool) -> str:
+def _what_is_missing(row: Row, seen: bool) -> str:
     if row.get("error"):
         return f"no match: {row['error']}"
-    if not all((row[c] or "").strip() for c in POSE_COLUMNS):
+    if not all(row[c].strip() for c in POSE_COLUMNS):
         return "no match: the row has no pose"
     return "" if seen else "no EM reading for this image"
 
@@ -241,8 +241,8 @@ def _what_is_missing(row: dict[str, str], seen: bool) -> str:
 def _truth(images: list[str], path: str | Path | None) -> list[str]:
     if path is None:
         return [""] * len(images)
-    rows = read_csv(Path(path), ("image", "calyx"), "truth")
+    rows = read_csv(path, ("image", "calyx"), "truth")
     found = join_names([row["image"] for row in rows], images)
     if np.all(found < 0):
         raise InputError(f"The truth file {path} names none of the {len(images)} images; the first is {images[0]!r}.")
-    return [(rows[i]["calyx"] or "").strip() if i >= 0 else "" for i in found]
+    return [rows[i]["calyx"].strip() if i >= 0 else "" for i in found]

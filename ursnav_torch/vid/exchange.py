@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import POSE_COLUMNS, UNITY_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, commit, number, partial_path, read_csv, write_csv
+from ursnav_torch.files import check_output, commit, partial_path, write_csv
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
+from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.vid.base import Vid, image_name
 from ursnav_torch.vid.plan import Plan
 from ursnav_torch.vid.store import poses_from_rows
@@ -85,9 +86,9 @@ def read_views(path: str | Path, mm_per_unit: float | None = None) -> CollectedV
     missing = [c for c in (UNITY_COLUMNS if unity else POSE_COLUMNS) if c not in rows[0]]
     if missing:
         raise InputError(f"{table} lacks {', '.join(missing)}; needed are x_mm,y_mm,z_mm or x_unity,y_unity,z_unity.")
-    T = _unity_poses(rows, table, mm_per_unit) if unity else poses_from_rows(rows, table)
+    T = _unity_poses(rows, table, mm_per_unit) if unity else poses_from_rows(rows)
     names = tuple(row["calyx"].strip() for row in rows) if "calyx" in rows[0] else None
-    pictures = tuple(_picture(folder, row["image"], table, i + 2) for i, row in enumerate(rows))
+    pictures = tuple(_picture(folder, row) for row in rows)
     return CollectedViews(pictures, check_rigid(T, f"A pose of {table}"), names, table)
 
 
@@ -126,18 +127,19 @@ def _unity_rows(vid: Vid, mm_per_unit: float) -> list[dict[str, Any]]:
     ]
 
 
-def _unity_poses(rows: list[dict[str, str]], table: Path, mm_per_unit: float | None) -> Array:
-    values = np.array([[number(row, c, table, i + 2) for c in UNITY_COLUMNS] for i, row in enumerate(rows)])
+def _unity_poses(rows: list[Row], table: Path, mm_per_unit: float | None) -> Array:
+    values = np.array([[number(row, c) for c in UNITY_COLUMNS] for row in rows])
     scale: NDArray[np.float64] | float = mm_per_unit or THESIS_MM_PER_UNIT
     if mm_per_unit is None and "mm_per_unit" in rows[0]:
-        scale = np.array([[number(row, "mm_per_unit", table, i + 2)] for i, row in enumerate(rows)])
+        scale = np.array([[number(row, "mm_per_unit")] for row in rows])
     if np.any(np.asarray(scale) <= 0):
         raise InputError(f"mm_per_unit for {table} must be positive, got {np.min(scale):g}.")
     return transform_from_unity(values[:, :3] * scale, values[:, 3:], 1.0)
 
 
-def _picture(folder: Path, name: str, table: Path, line: int) -> Path:
+def _picture(folder: Path, row: Row) -> Path:
+    name = row["image"]
     for path in (folder / "images" / name, folder / name):
         if name and path.is_file():
             return path
-    raise InputError(f"{table}, line {line}: there is no picture {name!r} in {folder / 'images'} or {folder}.")
+    raise InputError(f"{row.path}, line {row.line}: there is no picture {name!r} in {folder / 'images'} or {folder}.")

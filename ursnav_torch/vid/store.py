@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ from ursnav_torch.camera import camera_from_dict
 from ursnav_torch.columns import POSE_COLUMNS, VIEW_COLUMNS
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.features import settings_from_dict, settings_to_dict
-from ursnav_torch.files import number, read_csv, write_csv
+from ursnav_torch.files import write_csv
 from ursnav_torch.geometry import quaternion_from_transform, transform_from_quaternion
 from ursnav_torch.kidney import Kidney, read_calyces, read_centerline, write_calyces, write_centerline
+from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import check_features, load_features, save_features
 
@@ -70,7 +72,7 @@ def load_vid(path: str | Path) -> Vid:
     kidney = _load_kidney(folder, description)
     camera = camera_from_dict(description["camera"], f"{folder / 'vid.json'}")
     rows = read_csv(folder / "views.csv", VIEW_COLUMNS, "views")
-    T = poses_from_rows(rows, folder / "views.csv")
+    T = poses_from_rows(rows)
     calyx = _calyx_of_rows(rows, kidney, folder / "views.csv")
     settings = settings_from_dict(description["features"])
     features = load_features(folder / "features.safetensors")
@@ -93,13 +95,13 @@ def pose_cells(T: np.ndarray) -> list[dict[str, float]]:
     return [dict(zip(POSE_COLUMNS, row, strict=True)) for row in values.tolist()]
 
 
-def poses_from_rows(rows: list[dict[str, str]], path: Path) -> np.ndarray:
+def poses_from_rows(rows: Sequence[Row]) -> np.ndarray:
     """Transforms (N, 4, 4) from CSV rows with the seven pose columns.
 
     Raises:
         InputError: a cell is not a number; the message names its line.
     """
-    values = np.array([[number(row, c, path, i + 2) for c in POSE_COLUMNS] for i, row in enumerate(rows)])
+    values = np.array([[number(row, c) for c in POSE_COLUMNS] for row in rows])
     return transform_from_quaternion(values[:, :3], values[:, 3:])
 
 
@@ -142,7 +144,7 @@ def _read_description(folder: Path) -> dict[str, Any]:
     return dict(description)
 
 
-def _calyx_of_rows(rows: list[dict[str, str]], kidney: Kidney, path: Path) -> np.ndarray:
+def _calyx_of_rows(rows: list[Row], kidney: Kidney, path: Path) -> np.ndarray:
     """(V,) index of each view's calyx, -1 for none."""
     index = {c.name: i for i, c in enumerate(kidney.calyces)} | {"": -1}
     unknown = sorted({row["calyx"] for row in rows} - set(index))

@@ -13,7 +13,7 @@ from ursnav_torch.devices.base import Gamepad, OperatorInput
 from ursnav_torch.devices.gamepads.mapping import GamepadMapping, MappedInput
 from ursnav_torch.errors import DeviceNotConnectedError, InputError
 from ursnav_torch.extras import import_extra
-from ursnav_torch.files import number, read_csv
+from ursnav_torch.tables import number, read_csv
 
 
 class PygameGamepad(Gamepad):
@@ -159,8 +159,8 @@ class ScriptedGamepad(Gamepad):
         if unknown := sorted(rows[0].keys() - {"t_s", "light_step", *RATES, *FLAGS, *PRESSES}):
             raise InputError(f"{self.path}: columns {unknown} mean nothing to a gamepad script.")
         self._rows = [
-            {name: number(row, name, self.path, n + 2) for name, text in row.items() if text}
-            for n, row in enumerate(rows)
+            {name: number(row, name) for name, text in row.items() if text.strip()} | {"t_s": number(row, "t_s")}
+            for row in rows
         ]
         self._next, self._start_s = 0, 0.0
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from ursnav_torch.columns import EM_COLUMNS
 from ursnav_torch.devices.base import SourceAtEndError, Tracker, TrackerSample, Vector3
 from ursnav_torch.errors import DeviceTimeoutError, InputError
-from ursnav_torch.files import number, read_csv
+from ursnav_torch.tables import Row, number, read_csv
 
 
 class CsvTracker(Tracker):
@@ -28,10 +28,10 @@ class CsvTracker(Tracker):
         self.path, self.speed = Path(path), speed
         rows = read_csv(self.path, EM_COLUMNS, "EM")
         timed = "t_s" in rows[0]
-        self._times = [number(r, "t_s", self.path, n + 2) if timed else n / rate_hz for n, r in enumerate(rows)]
+        self._times = [number(r, "t_s") if timed else n / rate_hz for n, r in enumerate(rows)]
         if any(b < a for a, b in zip(self._times[:-1], self._times[1:], strict=True)):
             raise InputError(f"{self.path}: the column t_s runs backwards; sort the rows by time.")
-        self._poses = [_pose(row, self.path, n + 2) for n, row in enumerate(rows)]
+        self._poses = [_pose(row) for row in rows]
         self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
@@ -57,12 +57,12 @@ class CsvTracker(Tracker):
     def _close(self) -> None: ...
 
 
-def _pose(row: dict[str, str], path: Path, line: int) -> tuple[Vector3, Vector3] | None:
+def _pose(row: Row) -> tuple[Vector3, Vector3] | None:
     """Position and axis of a row, None where all of them are blank."""
-    if not any(row[c] for c in EM_COLUMNS):
+    if not any(row[c].strip() for c in EM_COLUMNS):
         return None
-    x, y, z, *axis = (number(row, c, path, line) for c in EM_COLUMNS)
+    x, y, z, *axis = (number(row, c) for c in EM_COLUMNS)
     length = sum(v * v for v in axis) ** 0.5
     if length < 1e-6:
-        raise InputError(f"{path}, line {line}: the axis dx,dy,dz is zero.")
+        raise InputError(f"{row.path}, line {row.line}: the axis dx,dy,dz is zero.")
     return (x, y, z), (axis[0] / length, axis[1] / length, axis[2] / length)
