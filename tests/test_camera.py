@@ -126,6 +126,7 @@ def test_json_round_trips_and_passes_further_keys_over(tmp_path: Path) -> None:
         assert load_camera(path) == camera
     plain = {k: v for k, v in PINHOLE.to_dict().items() if k != "k"}
     assert camera_from_dict(plain | {"k": None}, "x") == PINHOLE
+    assert camera_from_dict(plain | {"width": float(PINHOLE.width)}, "x") == PINHOLE
 
 
 @pytest.mark.parametrize(
@@ -135,11 +136,14 @@ def test_json_round_trips_and_passes_further_keys_over(tmp_path: Path) -> None:
         ("[1, 2]", "does not hold a camera"),
         ('{"model": "pinhole", "width": 10}', "lacks height, fx"),
         (json.dumps(FISHEYE.to_dict() | {"model": "division"}), "Unknown lens model 'division'"),
-        (json.dumps(FISHEYE.to_dict() | {"fx": "wide"}), "lens.json cannot be used.*wide"),
+        (
+            json.dumps(FISHEYE.to_dict() | {"fx": "wide"}),
+            r"lens.json cannot be used: Expected `float`, got `str` - at `\$.fx`",
+        ),
         (json.dumps(FISHEYE.to_dict() | {"fx": -88}), "fy > 0"),
-        (json.dumps(FISHEYE.to_dict() | {"fx": float("nan")}), "finite"),
-        (json.dumps(FISHEYE.to_dict() | {"width": 1e400}), "cannot be used"),
-        (json.dumps(FISHEYE.to_dict() | {"k": [0.1, 0.2]}), "four k"),
+        (json.dumps(FISHEYE.to_dict() | {"fx": float("nan")}), "not readable JSON"),
+        (json.dumps(FISHEYE.to_dict() | {"width": 1e400}), "not readable JSON"),
+        (json.dumps(FISHEYE.to_dict() | {"k": [0.1, 0.2]}), "length 4"),
         (json.dumps(FISHEYE.to_dict() | {"width": 1}), "at least 8 x 8"),
         (json.dumps(FISHEYE.to_dict() | {"fov_deg": 400}), "between 0 and 360"),
         (json.dumps(FISHEYE.to_dict() | {"model": "pinhole"}), "pinhole lens takes no k"),

@@ -5,7 +5,6 @@ Pixel centers lie at whole numbers: the center of the top-left pixel is (0, 0). 
 ``r = f * theta * (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)``.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.records import read_json, to_record
 
 MODELS = ("equidistant", "pinhole")
 
@@ -174,32 +174,27 @@ def load_camera(path: str | Path) -> Camera:
     Raises:
         InputError: missing, not JSON, or a key is missing or of the wrong kind.
     """
-    path = Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"There is no camera file {path}.") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"The camera file {path} is not readable JSON: {error}.") from None
-    return camera_from_dict(data, str(path))
+    return camera_from_dict(read_json(Path(path), "camera"), str(path))
 
 
 def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
-    """A `Camera` from the camera JSON's plain data; ``where`` names its origin in errors."""
+    """A `Camera` from the camera JSON's plain data; ``where`` names its origin in errors.
+
+    Raises:
+        InputError: a key is missing or of the wrong kind, or there is no such lens.
+    """
     if not isinstance(data, Mapping):
         raise InputError(f"{where} does not hold a camera: expected an object with {', '.join(_KEYS)}.")
     missing = [key for key in _KEYS if key not in data]
     if missing:
         raise InputError(f"The camera in {where} lacks {', '.join(missing)}; needed are {', '.join(_KEYS)}.")
-    try:
-        k = tuple(float(v) for v in (data.get("k") or (0, 0, 0, 0)))
-        fov = data.get("fov_deg")
-        return Camera(
-            str(data["model"]), int(data["width"]), int(data["height"]), float(data["fx"]), float(data["fy"]),
-            float(data["cx"]), float(data["cy"]), k, None if fov is None else float(fov),  # type: ignore[arg-type]
-        )  # fmt: skip
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"The camera in {where} cannot be used: {error}") from None
+    known = {key: _whole(value) for key, value in data.items() if value is not None}
+    return to_record(known, Camera, f"The camera in {where}")
+
+
+def _whole(value: Any) -> Any:
+    """250 for 250.0: some calibration tools write every number as a float."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _extent(width: int, height: int, across: str) -> float:

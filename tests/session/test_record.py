@@ -22,7 +22,7 @@ from ursnav_torch.devices import (
 )
 from ursnav_torch.errors import InputError
 from ursnav_torch.session import Recorder, Replay, Result, Snapshot
-from ursnav_torch.session.events import to_line
+from ursnav_torch.session.events import from_line, to_line
 
 rng = np.random.default_rng(0)
 
@@ -40,7 +40,7 @@ def make_events(frames=12):
         tracker = TrackerSample(stamps["t"](), True, (0.1 * n, 1 / 3, -300.0), (0.0, 0.6, 0.8), None, 5, "7", n, 0.1)
         robot = RobotSample(stamps["r"](), Joints(0.1, 0.2, float(n)), True, "armed")
         events += [frame, tracker, robot]
-        events.append(CommandSample(stamps["c"](), JointRates(1, 2, 3), JointRates(0.5, 1, 1.5), "limit"))
+        events.append(CommandSample(stamps["c"](), JointRates(1.0, 2.0, 3.0), JointRates(0.5, 1.0, 1.5), "limit"))
         events.append(Result(stamps["x"](), frame.stamp.sequence, {"calyx": "B", "x_mm": 1 / 3, "ok": True, "e": None}))
         if n == 5:
             events.append(OperatorInput(stamps["i"](), bend_x=0.5, snapshot=True))
@@ -99,6 +99,21 @@ def test_snapshots_lie_ready_for_validation(record):
     name, _, *values = row.split(",")
     assert [float(v) for v in values] == pytest.approx([0.5, 1 / 3, -300, 0, 0.6, 0.8], abs=1e-5)
     assert (record / "snapshots" / name).read_bytes() == (record / "frames" / "00000005.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("line", "match"),
+    [
+        ({"kind": "note", "stamp": [0, 1.0, 2.0], "level": "info"}, "missing required field `text`"),
+        ({"kind": "note", "stamp": [0, 1.0], "level": "info", "text": "x"}, r"list \[sequence, t_mono_s, t_wall_s\]"),
+        ({"kind": "light", "stamp": [0, "1", 2.0], "level": 1.0}, r"got `str` - at `\$.stamp.t_mono_s`"),
+        ({"kind": "robot", "stamp": [0, 1.0, 2.0], "joints": 3, "moving": True, "state": "armed"}, "Expected `object`"),
+        ({"kind": "snapshot", "stamp": [0, 1.0, 2.0], "tracker": [1], "robot": None}, "snapshot's tracker"),
+    ],
+)
+def test_a_line_that_is_no_event_is_refused_by_what_is_wrong(line, match):
+    with pytest.raises(InputError, match=match):
+        from_line(line)
 
 
 def written(record):

@@ -9,6 +9,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features.base import Extractor
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
+from ursnav_torch.records import to_record
 
 Settings = DefaultSettings | ThesisSettings
 
@@ -38,8 +39,4 @@ def settings_from_dict(data: Mapping[str, Any]) -> Settings:
     kind = values.pop("kind", None)
     if kind not in _KINDS:
         raise InputError(f"Unknown kind of features {kind!r}; known are {', '.join(_KINDS)}.")
-    try:
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return _KINDS[kind](**plain)
-    except TypeError as error:
-        raise InputError(f"The settings of {kind} features are not of this version: {error}.") from None
+    return to_record(values, _KINDS[kind], f"The settings of {kind} features", True)

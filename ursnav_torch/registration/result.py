@@ -1,6 +1,5 @@
 """The result of a registration: the transform, its residuals, and how far it can be trusted where."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import write_json
 from ursnav_torch.geometry import Array, check_rigid, transform_from
+from ursnav_torch.records import read_json, to_record
+
+_Row = tuple[float, float, float]
+_Row6 = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,10 +102,7 @@ class Registration:
         Raises:
             InputError: the file cannot be read, or does not hold a transform from the EM to the kidney frame.
         """
-        try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"Cannot read the registration {path}: {error}. Make one with `register`.") from error
+        data = read_json(Path(path), "registration")
         if not isinstance(data, dict) or not {"R", "t_mm"} <= data.keys():
             raise InputError(
                 f"{path} is not a registration: it needs the keys R (3x3) and t_mm. Make one with `register`."
@@ -113,47 +113,63 @@ class Registration:
                 "Invert it first."
             )
         try:
-            return _from_dict(data)
-        except (TypeError, ValueError) as error:
+            return to_record(data, _RegistrationFile, "Its content").registration()
+        except InputError as error:
             raise InputError(f"{path} is not a registration: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _RegistrationFile:
+    """What a ``register`` JSON may hold, by its keys; only the transform must be there."""
+
+    R: tuple[_Row, _Row, _Row]
+    t_mm: _Row
+    scale: float = 1.0
+    n: int | None = None
+    fre_mm: tuple[float | None, ...] | None = None
+    fre_rmse_mm: float | None = None
+    tre_loo_mm: tuple[float | None, ...] | None = None
+    tre_loo_rmse_mm: float | None = None
+    used: tuple[bool, ...] | None = None
+    center_mm: _Row | None = None
+    covariance: tuple[_Row6, _Row6, _Row6, _Row6, _Row6, _Row6] | None = None
+    method: str = "landmarks"
+    suspicions: tuple[str, ...] = ()
+    report: dict[str, float] | None = None
+    model_scale: float = 1.0
+
+    def registration(self) -> Registration:
+        """The registration; raises InputError for a transform that moves no rigid body."""
+        R, fre = np.array(self.R, float), _array(self.fre_mm)
+        check_rigid(transform_from(R, self.t_mm), "R")
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"scale={self.scale} must be a positive number.")
+        known = self.covariance is not None and self.center_mm is not None
+        covariance = np.array(self.covariance, float) if known else None
+        if covariance is not None and np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
+            raise InputError("covariance is not positive semidefinite.")
+        return Registration(
+            R=R,
+            t_mm=np.array(self.t_mm, float),
+            scale=self.scale,
+            n=len(fre) if self.n is None else self.n,
+            fre_mm=fre,
+            fre_rmse_mm=self.fre_rmse_mm or 0.0,
+            tre_loo_mm=_array(self.tre_loo_mm),
+            tre_loo_rmse_mm=self.tre_loo_rmse_mm,
+            used=np.ones(len(fre), bool) if self.used is None else np.array(self.used, bool),
+            center_mm=np.array(self.center_mm, float) if known else None,
+            covariance=covariance,
+            method=self.method,
+            suspicions=self.suspicions,
+            report=self.report,
+            model_scale=self.model_scale,
+        )
 
 
 def skew(v: ArrayLike) -> Array:
     """Matrices (..., 3, 3) with ``skew(v) @ x == cross(v, x)`` of vectors (..., 3)."""
     return np.cross(np.asarray(v, float)[..., None, :], -np.eye(3))
-
-
-def _from_dict(data: dict[str, Any]) -> Registration:
-    """Raises ValueError or TypeError (InputError is a ValueError) with a sentence about the entry that is wrong."""
-    R, t = _numbers(data, "R", (3, 3)), _numbers(data, "t_mm", (3,))
-    check_rigid(transform_from(R, t), "R")
-    scale = float(data.get("scale", 1.0))
-    if not np.isfinite(scale) or scale <= 0:
-        raise InputError(f"scale={scale} must be a positive number.")
-    fre = np.asarray(data.get("fre_mm") or [], float)
-    rmse = data.get("fre_rmse_mm")
-    loo = data.get("tre_loo_rmse_mm")
-    known = data.get("covariance") is not None and data.get("center_mm") is not None
-    covariance = _numbers(data, "covariance", (6, 6)) if known else None
-    if covariance is not None and np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
-        raise InputError("covariance is not positive semidefinite.")
-    return Registration(
-        R=R,
-        t_mm=t,
-        scale=scale,
-        n=int(data.get("n", len(fre))),
-        fre_mm=fre,
-        fre_rmse_mm=float(rmse) if rmse is not None else 0.0,
-        tre_loo_mm=np.asarray(data.get("tre_loo_mm") or [], float),
-        tre_loo_rmse_mm=float(loo) if loo is not None else None,
-        used=np.asarray(data.get("used", np.ones(len(fre))), bool),
-        center_mm=_numbers(data, "center_mm", (3,)) if known else None,
-        covariance=covariance,
-        method=str(data.get("method", "landmarks")),
-        suspicions=tuple(data.get("suspicions", ())),
-        report=data.get("report"),
-        model_scale=float(data.get("model_scale", 1.0)),
-    )
 
 
 def _plain(value: Any) -> Any:
@@ -164,8 +180,6 @@ def _plain(value: Any) -> Any:
     return [v if np.isfinite(v) else None for v in value.tolist()]
 
 
-def _numbers(data: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
-    value = np.asarray(data[key], float)
-    if value.shape != shape or not np.all(np.isfinite(value)):
-        raise InputError(f"{key} must hold finite numbers of shape {shape}, got {data[key]!r}.")
-    return value
+def _array(values: tuple[float | None, ...] | None) -> Array:
+    """Numbers (M,) of a file; null is NaN."""
+    return np.array(values or (), float)

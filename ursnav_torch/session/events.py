@@ -8,8 +8,6 @@ from typing import Any
 from ursnav_torch.devices import (
     CommandSample,
     Frame,
-    JointRates,
-    Joints,
     LightSample,
     Note,
     OperatorInput,
@@ -17,6 +15,8 @@ from ursnav_torch.devices import (
     Stamp,
     TrackerSample,
 )
+from ursnav_torch.errors import InputError
+from ursnav_torch.records import to_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,8 @@ KINDS: dict[str, type[Any]] = {
     "result": Result,
 }
 NAMES = {kind: name for name, kind in KINDS.items()}
-_NESTED = {"stamp": Stamp, "requested": JointRates, "sent": JointRates, "joints": Joints}
+_STAMP = tuple(f.name for f in dataclasses.fields(Stamp))
+_NO_PLAIN = ("image", "encoded", "frame")
 
 
 def to_line(event: Event, **extra: Any) -> str:
@@ -62,8 +63,7 @@ def to_line(event: Event, **extra: Any) -> str:
         ValueError: a number is not finite.
         TypeError: a result's row holds something that JSON does not know.
     """
-    fields = {f.name: getattr(event, f.name) for f in dataclasses.fields(event)}
-    plain = {name: _plain(value) for name, value in fields.items() if name not in ("image", "encoded", "frame")}
+    plain = {f.name: _plain(getattr(event, f.name)) for f in dataclasses.fields(event) if f.name not in _NO_PLAIN}
     if isinstance(event, Result):
         plain["frame"] = event.frame
     elif isinstance(event, Snapshot):
@@ -76,39 +76,47 @@ def from_line(data: dict[str, Any]) -> Event | None:
     """The event of a parsed line, or None where the kind is not known (a record of a newer version) or is a frame's.
 
     Raises:
-        KeyError, TypeError, ValueError: the line does not hold what its kind needs.
+        InputError: the line does not hold what its kind needs.
     """
     kind = KINDS.get(data["kind"])
     if kind is None or kind is Frame:
         return None
-    known = {f.name for f in dataclasses.fields(kind)}
-    values = {name: _typed(name, value) for name, value in data.items() if name in known}
     if kind is Snapshot:
-        values |= {"frame": None, "tracker": _sample("tracker", data), "robot": _sample("robot", data)}
-    event: Event = kind(**values)
+        tracker, robot = (_sample(name, data.get(name)) for name in ("tracker", "robot"))
+        return Snapshot(stamp_of(data), None, tracker, robot)
+    event: Event = to_record(data | {"stamp": _named_stamp(data)}, kind, f"A line of kind {data['kind']}")
     return event
 
 
 def stamp_of(data: dict[str, Any]) -> Stamp:
-    """The stamp of a parsed line."""
-    return Stamp(*data["stamp"])
+    """The stamp of a parsed line.
+
+    Raises:
+        InputError: there is none, or it does not hold three numbers.
+    """
+    return to_record(_named_stamp(data), Stamp, "The stamp of a line")
+
+
+def _named_stamp(data: dict[str, Any]) -> dict[str, Any]:
+    """A stamp's list of numbers, by name."""
+    stamp = data.get("stamp")
+    if not isinstance(stamp, list) or len(stamp) != len(_STAMP):
+        raise InputError(f"A stamp is the list [{', '.join(_STAMP)}], got {stamp!r}.")
+    return dict(zip(_STAMP, stamp, strict=True))
 
 
 def _plain(value: Any) -> Any:
+    """Plain data; a stamp, which every sample has, is a list to keep the lines short."""
     if isinstance(value, Stamp):
-        return [value.sequence, value.t_mono_s, value.t_wall_s]
+        return list(dataclasses.astuple(value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     return value
 
 
-def _typed(name: str, value: Any) -> Any:
-    if name == "stamp":
-        return Stamp(*value)
-    if name in _NESTED:
-        return _NESTED[name](**value)
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _sample(name: str, data: dict[str, Any]) -> Any:
-    return None if data[name] is None else from_line({"kind": name} | data[name])
+def _sample(name: str, data: Any) -> Any:
+    if data is None:
+        return None
+    if not isinstance(data, dict):
+        raise InputError(f"A snapshot's {name} is an object or null, got {data!r}.")
+    return from_line({"kind": name} | data)
