@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Every extra, so that no test is skipped for want of one.
-EXTRAS := ct,viewer,dask,igtl,ndi,gamepad,ros
+EXTRAS := ct,viewer,dask,ndi,gamepad,ros
 GL_PACKAGES := libegl1 libgl1-mesa-dri
 DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl

@@ -143,9 +143,9 @@ def test_a_start_in_the_wall_is_refused():
 def test_the_led_dims_the_picture():
     twin, _ = make()
     assert twin.image().mean() == 200
-    twin.light_with(lambda: 0.5)
+    twin.drive_with(lambda: np.zeros(3), light=lambda: 0.5)
     assert 100 < twin.image().mean() < 160
-    twin.light_with(lambda: 0.0)
+    twin.drive_with(lambda: np.zeros(3), light=lambda: 0.0)
     assert twin.image().max() == 0
 
 

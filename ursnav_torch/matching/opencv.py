@@ -53,8 +53,9 @@ class OpenCV:
         if not hasattr(cv2, "createShapeContextDistanceExtractor"):
             raise MissingExtraError(
                 f"matching=opencv needs OpenCV's contrib modules, which OpenCV {cv2.__version__} here lacks; "
-                "run `pip install --force-reinstall --no-deps opencv-contrib-python-headless`, "
-                "or choose matching=nearest."
+                "install the extra: pip install 'ursnav-torch[opencv]'. Where it is and its modules are still "
+                "missing, the plain OpenCV was installed over it: run `pip install --force-reinstall --no-deps "
+                "opencv-contrib-python-headless`. Or choose matching=nearest."
             )
         return cv2.createShapeContextDistanceExtractor(
             nAngularBins=self.angular_bins, nRadialBins=self.radial_bins, iterations=self.iterations

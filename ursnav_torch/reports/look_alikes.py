@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from ursnav_torch.localization import LookAlikes
 from ursnav_torch.vid import Vid
@@ -26,6 +24,9 @@ def report_look_alikes(vid: Vid) -> list[str]:
 
 def draw_look_alikes(look_alikes: LookAlikes, names: Sequence[str], path: Path) -> None:
     """Write the matrix as a PNG: rows what is shown, columns what it was taken for, in percent of the row."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # here, so that `match` starts without it
+    from matplotlib.figure import Figure
+
     labels = [*names, "(no calyx)"]
     share = 100 * look_alikes.counts / np.maximum(look_alikes.counts.sum(axis=1, keepdims=True), 1)
     size = 1.6 + 0.55 * len(labels)

@@ -121,10 +121,6 @@ class Twin:
         with self._lock:
             self._axes, self._light = axes_mm, light or self._light
 
-    def light_with(self, light: Callable[[], float]) -> None:
-        """Connect a lamp of its own: its level 0..1."""
-        self._light = light
-
     @property
     def bend(self) -> Array:
         """The true bend (2,) in radians, which slack and walls keep from what the motors ask for."""

@@ -2,7 +2,8 @@
 
 A segment of constant curvature (thesis §4.3.1: 20 mm long, up to 120 degrees). The bend is a vector: its
 length is the angle, its direction the axis in the x-y plane of the segment's base about which the tip turns.
-Two pairs of cables run at right angles; the pair *x* turns the tip about x, the pair *y* about y.
+Two pairs of cables run at right angles; the pair *x* turns the tip about x, the pair *y* about y:
+pulling (shortening) the cable at -y turns it about +x, the one at +x about +y.
 """
 
 import math
@@ -15,10 +16,6 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.devices.base import Joints
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array, transform_from
-
-#: Directions from the axis to the cables +x, -x, +y, -y in the base's x-y plane; pulling a cable (shortening
-#: it) turns the tip about the axis that names it: the cable at -y turns it about +x.
-CABLE_DIRECTIONS: Array = np.array([[0.0, -1.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,28 +49,6 @@ class Segment:
         R = Rotation.from_rotvec([*turn, 0.0]).as_matrix()
         sideways = s / 2 * np.sinc(theta / 2 / np.pi) ** 2 * np.array([turn[1], -turn[0]])
         return transform_from(R, [*sideways, s * np.sinc(theta / np.pi)])
-
-    def cable_lengths_mm(self, bend_rad: ArrayLike) -> Array:
-        """Lengths (4,) of the cables +x, -x, +y, -y inside the segment at a bend (2,)."""
-        bend = np.asarray(bend_rad, float)
-        toward = np.array([bend[1], -bend[0]])
-        return self.length_mm - self.cable_radius_mm * CABLE_DIRECTIONS @ toward
-
-    def bend_from_cables(self, lengths_mm: ArrayLike) -> Array:
-        """Bend (2,) of cable lengths (4,) in the order of `cable_lengths_mm`.
-
-        Raises:
-            InputError: a pair does not add up to twice the segment, so a cable is slack or stretched.
-        """
-        lengths = np.asarray(lengths_mm, float)
-        excess = lengths.reshape(2, 2).sum(axis=1) - 2 * self.length_mm
-        if np.abs(excess).max() > 0.01 * self.length_mm:
-            raise InputError(
-                f"Cable pairs are {excess.round(2)} mm too long or short together; expected {2 * self.length_mm} "
-                "mm a pair. Tension the cables."
-            )
-        x_plus, x_minus, y_plus, y_minus = lengths
-        return np.array([x_minus - x_plus, y_minus - y_plus]) / (2 * self.cable_radius_mm)
 
     def pulls_mm(self, bend_rad: ArrayLike) -> Array:
         """How far (2,) the motors of the pairs x and y have pulled their + cables in at a bend (2,)."""
