@@ -71,7 +71,7 @@ def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings
     rate, begun = settings["rate_hz"], 0.0
     with navigator:
         for warm in frames[:15]:  # the first pictures of a process are slower
-            navigator.take(warm, live=False)
+            navigator.take(warm)
             navigator.wait()
         navigator.results()
         navigator.forget_place()

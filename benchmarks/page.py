@@ -26,8 +26,9 @@ from benchmarks._results import Report, overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import at_rate, prepare
 from ursnav_torch.devices import Frame
-from ursnav_torch.navigation import WORDS, Desk, NavigationState, Navigator
+from ursnav_torch.navigation import WORDS, NavigationState, Navigator
 from ursnav_torch.page import LivePage
+from ursnav_torch.session import SessionControls
 
 SETTINGS = {k: v for k, v in FLIGHT.items() if k != "minutes"} | {"seconds": 60.0, "screenshot": ""}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -83,7 +84,7 @@ def main(arguments: list[str]) -> None:
 
 
 def _measure(report: Report, navigator: Navigator, settings: dict[str, Any]) -> None:
-    page = LivePage(Desk(navigator, None, None, lambda: None), port=0)
+    page = LivePage(navigator, SessionControls(lambda: None), port=0)
     seconds = settings["seconds"]
     try:
         time.sleep(SETTLE_S)

@@ -24,9 +24,9 @@ from PIL import Image
 from benchmarks._results import overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import phantom_vid, record_flight
-from ursnav_torch.navigation import Desk, Governor, Navigator, hold_navigation
+from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.page import LivePage, web_page
-from ursnav_torch.session import Replay
+from ursnav_torch.session import Replay, SessionControls
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import load_vid
 
@@ -47,15 +47,15 @@ def main(arguments: list[str]) -> None:
         shots: list[Image.Image] = []
 
         @contextmanager
-        def observer(desk: Desk) -> Iterator[None]:
-            with web_page(desk, port=0) as page:
-                desk.player.pause()
+        def page_of(navigator: Navigator, controls: SessionControls) -> Iterator[None]:
+            with web_page(navigator, controls, port=0) as page:
+                controls.player.pause()
                 photographer = threading.Thread(target=_photograph, args=(page, settings, shots))
                 photographer.start()
                 yield
                 photographer.join()
 
-        hold_navigation(navigator, Replay(Path(folder) / "record", speed=0), observer=observer)
+        run_navigation(navigator, Replay(Path(folder) / "record", speed=0), page=page_of)
     for path in _write(shots, settings):
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
@@ -64,7 +64,7 @@ def _photograph(page: LivePage, settings: dict[str, Any], shots: list[Image.Imag
     """Let the record go on a little, and take a picture of the page, again and again; then end the session."""
     from playwright.sync_api import sync_playwright
 
-    player, navigator = page.desk.player, page.desk.navigator
+    player, navigator = page.controls.player, page.navigator
     try:
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)

@@ -27,7 +27,7 @@ from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.pictures import match_row
-from ursnav_torch.session import LATER, Event, Live, Recorder, Replay, Result, Rig, build_rig, run_session
+from ursnav_torch.session import Event, Live, Recorder, Replay, Result, Rig, build_rig, run_session
 from ursnav_torch.simulation import (
     SimulatedGrblRobot,
     SimulatedNdiTracker,
@@ -106,11 +106,11 @@ def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, Callable[..
 def _rig(world: World, settings: dict[str, Any]) -> Rig:
     sensor = None if settings["sensor"] == "none" else settings["sensor"]
     return build_rig(
-        camera=partial(TwinCamera, twin=LATER),
-        tracker=partial(TRACKERS[settings["tracker"]], twin=LATER),
-        robot=partial(SimulatedGrblRobot, twin=LATER),
-        light=partial(RobotLight, robot=LATER),
-        gamepad=partial(TwinPilot, twin=LATER, kidney=LATER, rounds=0),
+        camera=partial(TwinCamera),
+        tracker=partial(TRACKERS[settings["tracker"]]),
+        robot=partial(SimulatedGrblRobot),
+        light=partial(RobotLight),
+        gamepad=partial(TwinPilot, rounds=0),
         twin=partial(make_twin, sensor=sensor),
         world=lambda: world,
     )

@@ -20,7 +20,7 @@ def main(config: Any) -> None:
         load_vid(caller_path(config.vid)),
         instantiate(config.hardware),
         make_renderer=instantiate(config.rendering),
-        observer=instantiate(config.viewer) if config.viewer else None,
+        page=instantiate(config.viewer) if config.viewer else None,
         out=None if config.out is None else caller_path(config.out),
         duration_s=config.seconds,
         em_to_kidney=None if config.em_to_kidney is None else caller_path(config.em_to_kidney),

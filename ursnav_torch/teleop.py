@@ -16,11 +16,11 @@ PATHS = (
 
 @runner("teleop", paths=PATHS)
 def main(config: Any) -> None:
-    """Instantiate the choices and call `session.hold_session`."""
+    """Instantiate the choices and run a session without navigation."""
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
-    from ursnav_torch.session import StatusLine, hold_session
+    from ursnav_torch.session import StatusLine, open_session
     from ursnav_torch.simulation import World
 
     def world() -> World:
@@ -30,7 +30,8 @@ def main(config: Any) -> None:
     plain = OmegaConf.to_container(config, resolve=True)
     recorder = instantiate(config.session)(config=plain) if config.session else None
     status = StatusLine()
-    summary = hold_session(instantiate(config.hardware), world, recorder, config.duration_s, on_event=status)
+    with open_session(instantiate(config.hardware), world, recorder, config.duration_s) as session:
+        summary = session.run(None, status)
     status.close()
     print(summary.text() + (f"; record in {config.out}" if recorder else ""))
 

@@ -225,7 +225,7 @@ def test_however_jerky_the_driving_less_than_half_a_second_is_queued(board, robo
 
 DRIVER = """
 import sys, time
-from ursnav_torch.hardware import {kind}, JointRates
+from ursnav_torch.devices import {kind}, JointRates
 robot = {kind}({port})
 robot.connect()
 robot.arm()

@@ -8,8 +8,8 @@ import pytest
 
 from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp
 from ursnav_torch.errors import InputError
-from ursnav_torch.navigation import Governor, Navigator, Player, hold_navigation
-from ursnav_torch.session import Recorder, Replay, Result
+from ursnav_torch.navigation import Governor, Navigator, run_navigation
+from ursnav_torch.session import Player, Recorder, Replay, Result
 from ursnav_torch.tracking.tracker import Tracker
 
 
@@ -153,7 +153,7 @@ def record(vid, renderer, tmp_path_factory):
 
 def test_a_replay_as_fast_as_possible_locates_every_picture_and_can_be_recorded(navigator, record, tmp_path):
     with_out = Recorder(tmp_path / "again")
-    summary = hold_navigation(navigator, Replay(record, speed=0), recorder=with_out)
+    summary = run_navigation(navigator, Replay(record, speed=0), recorder=with_out)
     assert (summary.pictures, summary.located, summary.passed_over) == (30, 30, 0)
     assert "30 pictures, 30 located" in summary.text() and "of its wall seen" in summary.text()
     rows = Replay(tmp_path / "again").results()
@@ -162,7 +162,7 @@ def test_a_replay_as_fast_as_possible_locates_every_picture_and_can_be_recorded(
 
 def test_a_record_is_not_written_over_itself(navigator, record):
     with pytest.raises(InputError, match="cannot be replayed and written at the same time"):
-        hold_navigation(navigator, Replay(record), recorder=Recorder(record))
+        run_navigation(navigator, Replay(record), recorder=Recorder(record))
 
 
 def test_an_observer_that_hangs_or_fails_late_does_not_slow_the_loop(navigator, record):
@@ -172,15 +172,15 @@ def test_an_observer_that_hangs_or_fails_late_does_not_slow_the_loop(navigator, 
     release = threading.Event()
 
     @contextmanager
-    def sleeper(desk):
+    def sleeper(navigator, controls):
         thread = threading.Thread(target=release.wait)
         thread.start()
-        desk.player.stay = False
+        controls.player.stay = False
         yield
         release.set()
         thread.join()
 
-    summary = hold_navigation(navigator, Replay(record, speed=0), observer=sleeper)
+    summary = run_navigation(navigator, Replay(record, speed=0), page=sleeper)
     assert summary.located == 30
 
 

@@ -17,13 +17,13 @@ from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import INSPECTED, CalyxCoverage
 from ursnav_torch.kidney import read_calyces
-from ursnav_torch.navigation import Desk, NavigationState, Navigator, hold_navigation
+from ursnav_torch.navigation import NavigationState, Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, KidneyScene, LivePage, Pictures, check_address, web_page
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.page.words import confidence_html, coverage_html, picture_html, status_html
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.reports.session import session_figures, write_session_report
-from ursnav_torch.session import Recorder, Replay
+from ursnav_torch.session import Recorder, Replay, SessionControls
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, read_views
 
@@ -151,7 +151,7 @@ def record(vid, renderer, tmp_path_factory):
             image = renderer.render(T).image if not 28 <= i < 40 else np.zeros((96, 96), np.uint8)
             recorder.write(Frame(Stamp(i, i / 10, 1e9 + i / 10), image))
     navigator = Navigator(Tracker(vid))
-    hold_navigation(navigator, Replay(folder / "raw", speed=0), recorder=Recorder(folder / "navigated"))
+    run_navigation(navigator, Replay(folder / "raw", speed=0), recorder=Recorder(folder / "navigated"))
     return folder / "navigated"
 
 
@@ -188,15 +188,15 @@ def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, ph
     pages = []
 
     @contextmanager
-    def observer(desk):
-        with web_page(desk, port=0) as live:
+    def page_of(navigator, controls):
+        with web_page(navigator, controls, port=0) as live:
             pages.append(live)
             yield
 
     navigator = Navigator(Tracker(vid, phantom_lumen))
     done = []
     thread = threading.Thread(
-        target=lambda: done.append(hold_navigation(navigator, Replay(record, speed=0), observer=observer))
+        target=lambda: done.append(run_navigation(navigator, Replay(record, speed=0), page=page_of))
     )
     thread.start()
     until = time.monotonic() + 30
@@ -213,14 +213,14 @@ def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, ph
     page.choose("C")
     while navigator.located < 60 and time.monotonic() < until:
         time.sleep(0.05)
-    page.desk.player.stop()
+    page.controls.player.stop()
     thread.join(timeout=20)
     assert done and done[0].located == 60
 
 
 def test_on_a_slow_machine_the_scene_waits(vid, phantom_lumen, monkeypatch):
     """Without a graphics card every change of it takes a core for a while, and the words must keep coming."""
-    page = LivePage(Desk(Navigator(Tracker(vid, phantom_lumen)), None, None, lambda: None), port=0)
+    page = LivePage(Navigator(Tracker(vid, phantom_lumen)), SessionControls(lambda: None), port=0)
     try:
         clock = [1000.0]
         monkeypatch.setattr("ursnav_torch.page.live.time", SimpleNamespace(monotonic=lambda: clock[0]))

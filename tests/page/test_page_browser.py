@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.devices import RobotLight
 from ursnav_torch.kidney import read_calyces
-from ursnav_torch.navigation import Navigator, hold_navigation
+from ursnav_torch.navigation import Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, web_page
-from ursnav_torch.session import LATER, build_rig
+from ursnav_torch.session import build_rig
 from ursnav_torch.simulation import SimulatedGrblRobot, TwinCamera, TwinPilot, World, make_twin
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import read_views
@@ -33,28 +33,28 @@ def page(vid, renderer, phantom_lumen):
     """The page of a running session, without a browser yet."""
     hardware = partial(
         build_rig,
-        camera=partial(TwinCamera, twin=LATER, rate_hz=8.0),
-        robot=partial(SimulatedGrblRobot, twin=LATER, deadline_s=5.0),
-        light=partial(RobotLight, robot=LATER),
-        gamepad=partial(TwinPilot, twin=LATER, kidney=LATER, rounds=0),
+        camera=partial(TwinCamera, rate_hz=8.0),
+        robot=partial(SimulatedGrblRobot, deadline_s=5.0),
+        light=partial(RobotLight),
+        gamepad=partial(TwinPilot, rounds=0),
         twin=partial(make_twin, lumen=phantom_lumen),
     )
     pages, ready = [], threading.Event()
 
     @contextmanager
-    def observer(desk):
-        with web_page(desk, port=0) as live:
+    def page_of(navigator, controls):
+        with web_page(navigator, controls, port=0) as live:
             pages.append(live)
             ready.set()
             yield
 
     navigator = Navigator(Tracker(vid, phantom_lumen))
-    job = partial(hold_navigation, navigator, hardware, lambda: World(vid.kidney, renderer), observer=observer)
+    job = partial(run_navigation, navigator, hardware, lambda: World(vid.kidney, renderer), page=page_of)
     session = threading.Thread(target=job)
     session.start()
     assert ready.wait(PATIENCE_S)
     yield pages[0]
-    pages[0].desk.stop()
+    pages[0].controls.stop()
     session.join(timeout=30)
     assert not session.is_alive()
 
@@ -140,7 +140,7 @@ def test_the_page_draws_the_kidney_and_the_pictures(tab):
 
 
 def test_the_status_line_follows_the_exploration(tab, page):
-    bus, seen = page.desk.navigator.bus, set()
+    bus, seen = page.navigator.bus, set()
     until = time.monotonic() + PATIENCE_S
     while len(seen) < 4 and time.monotonic() < until:
         seen.add(tab.text("status"))
@@ -161,28 +161,28 @@ def test_the_status_line_follows_the_exploration(tab, page):
 
 def test_a_click_on_a_calyx_routes_there_and_shows_its_views(tab, page):
     tab.tab.get_by_role("button", name="D", exact=True).click()
-    tab.wait(lambda text: "Next: D, " in text and page.desk.navigator.bus.latest().guidance.chosen == "D")
+    tab.wait(lambda text: "Next: D, " in text and page.navigator.bus.latest().guidance.chosen == "D")
     tab.wait(lambda text: text.startswith("views of calyx D"), "views")
     tab.tab.get_by_role("button", name="Propose the next one").click()
     until = time.monotonic() + PATIENCE_S
-    while page.desk.navigator.bus.latest().guidance.chosen and time.monotonic() < until:
+    while page.navigator.bus.latest().guidance.chosen and time.monotonic() < until:
         tab.tab.wait_for_timeout(100)
-    assert page.desk.navigator.bus.latest().guidance.chosen == ""
+    assert page.navigator.bus.latest().guidance.chosen == ""
 
 
 def test_a_click_on_a_ball_in_the_scene_does_the_same(tab, page):
-    kidney = page.desk.navigator.vid.kidney
+    kidney = page.navigator.vid.kidney
     at = np.array(screen_positions(page, tab, kidney.tips_mm))
     free = (at[:, 0] > 300) & (at[:, 0] < 800) & (at[:, 1] > 170) & (at[:, 1] < 880)
     for index in np.flatnonzero(free):  # one of them is in front
         tab.tab.mouse.click(*(at[index]).tolist())
         until = time.monotonic() + 5
-        while time.monotonic() < until and not page.desk.navigator.bus.latest().guidance.chosen:
+        while time.monotonic() < until and not page.navigator.bus.latest().guidance.chosen:
             tab.tab.wait_for_timeout(100)
-        if page.desk.navigator.bus.latest().guidance.chosen:
+        if page.navigator.bus.latest().guidance.chosen:
             break
-    assert page.desk.navigator.bus.latest().guidance.chosen == kidney.calyces[index].name
-    page.desk.navigator.choose("")
+    assert page.navigator.bus.latest().guidance.chosen == kidney.calyces[index].name
+    page.navigator.choose("")
 
 
 def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):
@@ -190,10 +190,10 @@ def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):
     tab.tab.mouse.move(640, 800)
     tab.tab.keyboard.press("Space")
     tab.wait(lambda text: "robot: stopped" in text, "robot")
-    before = page.desk.navigator.bus.latest()
+    before = page.navigator.bus.latest()
     tab.tab.get_by_role("button", name="Acknowledge the stop").click()
     tab.wait(lambda text: "robot: disarmed" in text, "robot")
-    assert page.desk.console.by_hand and before.robot == "stopped"
+    assert page.controls.console.by_hand and before.robot == "stopped"
     tab.tab.get_by_role("button", name="Arm", exact=True).click()
     tab.wait(lambda text: "robot: armed" in text, "robot")
     tab.press("Brighter")
@@ -209,15 +209,15 @@ def test_no_button_moves_while_the_words_change(tab):
 
 
 def test_closing_and_opening_the_page_again_loses_nothing(tab, browser, page):
-    before, path = tab.text("coverage"), len(page.desk.navigator.bus.latest().path_mm)
+    before, path = tab.text("coverage"), len(page.navigator.bus.latest().path_mm)
     tab.tab.close()
-    located = page.desk.navigator.located
+    located = page.navigator.located
     time.sleep(1.0)
     again = Tab(browser, page.url)
     assert again.text("coverage").count("%") == before.count("%") == 6
     shares = [[int(v) for v in re.findall(r"(\d+)%", text)] for text in (before, again.text("coverage"))]
     assert all(b >= a for a, b in zip(*shares, strict=True))
-    assert len(page.desk.navigator.bus.latest().path_mm) >= path and page.desk.navigator.located > located
+    assert len(page.navigator.bus.latest().path_mm) >= path and page.navigator.located > located
     test_the_page_draws_the_kidney_and_the_pictures(again)
     assert (tab.errors, again.errors) == ([], [])
     assert (tab.foreign, again.foreign) == ([], [])

@@ -41,7 +41,7 @@ def test_every_choice_names_a_device_of_its_kind(kind, choice, tmp_path):
     if choice == "none":
         assert not config.hardware[kind]
     elif choice == "video":
-        assert config.hardware.camera._target_ == "ursnav_torch.hardware.VideoCamera"
+        assert config.hardware.camera._target_ == "ursnav_torch.devices.VideoCamera"
     else:
         made = instantiate(config.hardware[kind])
         assert issubclass(made.func if isinstance(made, partial) else type(made), CONTRACTS[kind])

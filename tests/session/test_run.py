@@ -2,6 +2,7 @@
 
 import io
 import resource
+import threading
 import time
 import zlib
 from dataclasses import replace
@@ -21,9 +22,21 @@ from ursnav_torch.devices import (
     Tracker,
     TrackerSample,
 )
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, FeatureError
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import transform_from
-from ursnav_torch.session import Live, Recorder, Replay, Rig, Snapshot, StatusLine, build_rig, hold_session, run_session
+from ursnav_torch.session import (
+    Live,
+    Player,
+    Recorder,
+    Replay,
+    Result,
+    Rig,
+    Snapshot,
+    StatusLine,
+    build_rig,
+    open_session,
+    run_session,
+)
 from ursnav_torch.simulation import SimulatedGrblRobot, SimulatedOpenIgtlTracker, Twin, TwinCamera, World
 
 NOISE = np.random.default_rng(0).integers(0, 60, (250, 250), dtype=np.uint8)
@@ -65,10 +78,10 @@ class Weaver(Gamepad):
 
 def make_rig(gamepad=None):
     return build_rig(
-        camera=partial(TwinCamera, twin=None),
-        tracker=partial(SimulatedOpenIgtlTracker, twin=None),
-        robot=partial(SimulatedGrblRobot, twin=None),
-        light=partial(RobotLight, robot=None),
+        camera=partial(TwinCamera),
+        tracker=partial(SimulatedOpenIgtlTracker),
+        robot=partial(SimulatedGrblRobot),
+        light=partial(RobotLight),
         gamepad=gamepad or Weaver(),
         twin=lambda world: Twin(in_a_tube, draw, transform_from(np.eye(3), [0.0, 0.0, 0.0])),
         world=lambda: World(None, None),
@@ -78,6 +91,30 @@ def make_rig(gamepad=None):
 def locate(frame, tracker):
     """Stands in for a localizer: a row that depends on every pixel and on the EM sample."""
     return {"crc": zlib.crc32(frame.image), "x_mm": tracker.position_mm[0] if tracker else None}
+
+
+class EachPicture:
+    """A worker that computes a row from every picture at once."""
+
+    def __init__(self, row=locate):
+        self.row, self.tracker, self.made = row, None, []
+
+    def take(self, event):
+        if isinstance(event, TrackerSample):
+            self.tracker = event
+        elif isinstance(event, Frame):
+            self.made.append(Result(event.stamp, event.stamp.sequence, self.row(event, self.tracker)))
+
+    def wait(self):
+        return True
+
+    def results(self):
+        made, self.made = self.made, []
+        return made
+
+
+def rows(path):
+    return [(r.frame, r.row) for r in Replay(path).results()]
 
 
 def resident_mb():
@@ -95,7 +132,7 @@ def test_20_seconds_recorded_lose_nothing_and_replay_to_the_same_rows(tmp_path):
 
     with make_rig() as rig, Recorder(tmp_path / "run") as recorder:
         live = Live(rig, duration_s=20)
-        summary = run_session(live, recorder, locate, watch)
+        summary = run_session(live, EachPicture(), [recorder.write, watch])
     counts = summary.counts
     print(counts, f"memory {memory[3]:.0f} to {memory[-1]:.0f} MB, longest cycle {1000 * live.longest_cycle_s:.0f} ms")
     assert (summary.lost, summary.dropped) == ({}, 0)
@@ -105,8 +142,9 @@ def test_20_seconds_recorded_lose_nothing_and_replay_to_the_same_rows(tmp_path):
     assert counts["Snapshot"] == 10
     assert memory[-1] - memory[3] < 10
     replay = Replay(tmp_path / "run", speed=0)
-    again = run_session(replay, None, locate)
-    assert [(r.frame, r.row) for r in again.results] == [(r.frame, r.row) for r in summary.results]
+    with Recorder(tmp_path / "again") as recorder:
+        again = run_session(Player(replay), EachPicture(), [recorder.write])
+    assert rows(tmp_path / "again") == rows(tmp_path / "run")
     assert again.counts == counts and replay.damaged == 0
 
 
@@ -122,7 +160,7 @@ def test_quitting_ends_the_session_and_disarms(tmp_path):
 def test_a_snapshot_holds_what_belongs_together():
     found = []
     with make_rig() as rig:
-        run_session(Live(rig, duration_s=1.5), on_event=found.append)
+        run_session(Live(rig, duration_s=1.5), None, [found.append])
     (snapshot,) = (e for e in found if isinstance(e, Snapshot))
     t = snapshot.stamp.t_mono_s
     for sample, age in ((snapshot.frame, 0.15), (snapshot.tracker, 0.1), (snapshot.robot, 0.2)):
@@ -131,36 +169,34 @@ def test_a_snapshot_holds_what_belongs_together():
 
 def test_replay_keeps_the_sessions_pace_or_another(tmp_path):
     with make_rig() as rig, Recorder(tmp_path / "run") as recorder:
-        live = run_session(Live(rig, duration_s=1.0), recorder, locate)
+        live = run_session(Live(rig, duration_s=1.0), EachPicture(), [recorder.write])
     for speed, seconds in ((1.0, 1.0), (4.0, 0.25)):
-        summary = run_session(Replay(tmp_path / "run", speed), None, locate)
-        assert summary.seconds == pytest.approx(seconds, abs=0.12)
-        assert [r.row for r in summary.results] == [r.row for r in live.results]
+        with Recorder(tmp_path / f"again {speed}") as recorder:
+            player = Player(Replay(tmp_path / "run", speed))
+            summary = run_session(player, EachPicture(), [recorder.write])
+        assert summary.counts == live.counts
+        assert summary.seconds == pytest.approx(seconds, abs=0.15)
+        assert rows(tmp_path / f"again {speed}") == rows(tmp_path / "run")
 
 
-def test_pictures_whose_turn_comes_late_are_kept_but_not_located_and_replay_agrees(tmp_path):
-    def slow(frame, tracker):
-        time.sleep(0.2)
-        return locate(frame, tracker)
-
+def test_a_replay_ends_after_its_time(tmp_path):
     with make_rig() as rig, Recorder(tmp_path / "run") as recorder:
-        live = run_session(Live(rig, duration_s=2.0), recorder, slow)
-    assert live.lost == {} and live.counts["Frame"] == pytest.approx(30, abs=2)
-    assert 3 < live.counts["Result"] < 20 and live.not_located == live.counts["Frame"] - live.counts["Result"]
-    again = run_session(Replay(tmp_path / "run", 0), None, locate)
-    assert [(r.frame, r.row["crc"]) for r in again.results] == [(r.frame, r.row["crc"]) for r in live.results]
+        run_session(Live(rig, duration_s=1.0), None, [recorder.write])
+    found = []
+    run_session(Player(Replay(tmp_path / "run", speed=0), duration_s=0.5), None, [found.append])
+    assert 0.3 < found[-1].stamp.t_mono_s - found[0].stamp.t_mono_s < 0.5
 
 
-def test_a_picture_that_shows_too_little_has_a_row_with_its_error(tmp_path):
-    def locate(frame, tracker):
-        if frame.stamp.sequence % 2:
-            raise FeatureError("too dark")
-        return {"calyx": "B"}
+def test_an_observer_that_cannot_go_on_ends_the_threads_and_disarms(tmp_path):
+    def full(event):
+        if isinstance(event, Frame):
+            raise InputError("No space left on device.")
 
-    with make_rig() as rig, Recorder(tmp_path / "run") as recorder:
-        live = run_session(Live(rig, duration_s=0.5), recorder, locate)
-    assert [r.row for r in live.results][:2] == [{"calyx": "B"}, {"error": "too dark"}]
-    assert [r.row for r in Replay(tmp_path / "run").results()] == [r.row for r in live.results]
+    with make_rig() as rig:
+        with pytest.raises(InputError, match="No space left"):
+            run_session(Live(rig), None, [full])
+        assert rig.robot.gate.state == "disarmed"
+        assert not [t for t in threading.enumerate() if t.name.startswith("session-")]
 
 
 class Shaky(Tracker):
@@ -189,7 +225,7 @@ class Shaky(Tracker):
 def test_a_device_that_fails_is_reported_and_connected_again():
     tracker, found = Shaky(), []
     with Rig(tracker=tracker) as rig:
-        run_session(Live(rig, duration_s=1.6), on_event=found.append)
+        run_session(Live(rig, duration_s=1.6), None, [found.append])
     notes = [e.text for e in found if isinstance(e, Note)]
     assert [n.split(": ")[1] for n in notes] == [
         "no answer", "samples come again", "unplugged", "connected again", "at the end",
@@ -207,7 +243,7 @@ def test_the_robot_is_driven_in_step_whatever_the_reader_is_busy_with():
 
     with make_rig() as rig:
         live = Live(rig, duration_s=2.0)
-        summary = run_session(live, on_event=hang)
+        summary = run_session(live, None, [hang])
         assert rig.robot.gate.reason == "disarmed"  # by the end, not by the watchdog
     assert summary.counts["CommandSample"] > 90 and summary.lost == {}
 
@@ -241,7 +277,8 @@ def test_other_programs_are_shown_pictures_joints_and_accepted_poses():
     def build(world):
         return replace(make_rig(), output=shown)
 
-    summary = hold_session(build, duration_s=1.0, locate=locate)
+    with open_session(build, duration_s=1.0) as session:
+        summary = session.run(EachPicture(locate))
     assert len(shown.images) == summary.counts["Frame"] and len(shown.joints) == summary.counts["RobotSample"]
     assert len(shown.poses) == (summary.counts["Result"] + 1) // 2
     np.testing.assert_allclose(shown.poses[0][:3, 3], [1, 2, 3])
@@ -251,7 +288,8 @@ def test_other_programs_are_shown_pictures_joints_and_accepted_poses():
 def test_the_status_line_tells_how_it_goes():
     stream = io.StringIO()
     status = StatusLine(stream)
-    hold_session(lambda world: make_rig(), duration_s=0.5, on_event=status)
+    with open_session(lambda world: make_rig(), duration_s=0.5) as session:
+        session.run(None, status)
     text = status.text(status._begun_s + 61)
     assert text.startswith("61 s, ") and "EM samples, armed, bend" in text and text.endswith("mm")
     assert stream.getvalue() == ""  # not yet ten seconds

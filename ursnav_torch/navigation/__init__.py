@@ -1,25 +1,20 @@
-"""Live navigation: a `Navigator` turns the pictures of a session into states on a bus, `hold_navigation` runs it.
+"""Live navigation: a `Navigator` turns the pictures of a session into states on a bus, `run_navigation` runs it.
 
 Observers, the page among them, look at the newest state whenever they like; nobody who looks slows the loop.
 """
 
 from ursnav_torch.navigation.bus import Newest, StateBus
-from ursnav_torch.navigation.console import MOVES, Console
 from ursnav_torch.navigation.effort import WORDS, Governor
 from ursnav_torch.navigation.em import sensor_in_kidney
 from ursnav_torch.navigation.guide import Guide
-from ursnav_torch.navigation.hold import Desk, NavigationSummary, Observer, hold_navigation
 from ursnav_torch.navigation.navigator import Navigator
-from ursnav_torch.navigation.player import Player
+from ursnav_torch.navigation.run import NavigationSummary, Page, run_navigation
 from ursnav_torch.navigation.state import Guidance, Latency, NavigationState
 from ursnav_torch.navigation.status import confidence_words, status_line, turn_words
 from ursnav_torch.navigation.trail import Trail
 
 __all__ = [
-    "MOVES",
     "WORDS",
-    "Console",
-    "Desk",
     "Governor",
     "Guidance",
     "Guide",
@@ -28,12 +23,11 @@ __all__ = [
     "NavigationSummary",
     "Navigator",
     "Newest",
-    "Observer",
-    "Player",
+    "Page",
     "StateBus",
     "Trail",
     "confidence_words",
-    "hold_navigation",
+    "run_navigation",
     "sensor_in_kidney",
     "status_line",
     "turn_words",

@@ -23,7 +23,7 @@ from ursnav_torch.navigation.guide import Guide
 from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
-from ursnav_torch.session import Event, Result
+from ursnav_torch.session import Event, Pace, Result
 from ursnav_torch.tracking.place_search import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import pose_cells
@@ -68,9 +68,6 @@ class Navigator:
         limits: what the scope can do, for the way on.
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
-
-    Attributes:
-        expects_pictures: whether a while without any is worth saying; a replay may be paused.
     """
 
     def __init__(
@@ -82,7 +79,7 @@ class Navigator:
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
         self.guide = Guide(tracker.vid, tracker.lumen, limits)
-        self.located, self.expects_pictures = 0, True
+        self.located, self._pace = 0, Pace()
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
         self._jobs: Newest[_Job] = Newest()
@@ -101,16 +98,19 @@ class Navigator:
         """Pictures that were not located because a newer one came."""
         return self._jobs.replaced + self._seen.replaced
 
-    def take(self, event: Event, live: bool = True) -> None:
-        """Take an event of a session; never waits.
+    @property
+    def patch_of_face(self) -> NDArray[np.int64]:
+        """(F,) the patch of wall that each triangle of the kidney's mesh belongs to; see `Guidance.seen`."""
+        return self.guide.coverage.patches.of_face
 
-        Args:
-            event: pictures, EM samples, the robot's reports and devices' warnings are used.
-            live: whether a picture's stamp tells when it was captured; else (a replay, a simulation that draws after
-                the stamp) it counts as captured when it is given.
-        """
+    def expect(self, pace: Pace) -> None:
+        """Say how the pictures of the coming session come; live devices' without it."""
+        self._pace = pace
+
+    def take(self, event: Event) -> None:
+        """Take an event of a session: pictures, EM samples, the robot's reports, devices' warnings; never waits."""
         if isinstance(event, Frame):
-            captured = event.stamp.t_mono_s if live else time.monotonic()
+            captured = event.stamp.t_mono_s if self._pace.stamped_now else time.monotonic()
             self._given += 1
             self._jobs.put(_Job(self._given, event, captured, self._reading))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
@@ -277,7 +277,7 @@ class Navigator:
                 due = begun + GUIDE_S
                 self._painting_s = time.monotonic() - begun
             if (
-                self.expects_pictures
+                self._pace.steady
                 and self.located
                 and begun - self._published_s > STALE_S
                 and not self.bus.latest().stale

@@ -2,9 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-from ursnav_torch.navigation import Console, Desk, NavigationState, Player
+from ursnav_torch.navigation import NavigationState
 from ursnav_torch.page.server import on_choice, on_press
 from ursnav_torch.page.words import robot_html
+from ursnav_torch.session import Console, Player, SessionControls
 
 if TYPE_CHECKING:
     import viser
@@ -87,6 +88,6 @@ class ReplayControls:
             self._at.value = at
 
 
-def add_end(server: "viser.ViserServer", desk: Desk) -> None:
+def add_end(server: "viser.ViserServer", controls: SessionControls) -> None:
     """The button that ends the session."""
-    on_press(server.gui.add_button("End the session"))(desk.stop)
+    on_press(server.gui.add_button("End the session"))(controls.stop)

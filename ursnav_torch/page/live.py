@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ursnav_torch.navigation import Desk, NavigationState
+from ursnav_torch.navigation import NavigationState, Navigator
 from ursnav_torch.page.controls import ReplayControls, RobotControls, add_end, add_stop
 from ursnav_torch.page.pictures import Pictures
 from ursnav_torch.page.scene import KidneyScene
 from ursnav_torch.page.server import on_press, start_server, stop_server
 from ursnav_torch.page.words import confidence_html, coverage_html, latency_html, picture_html, status_html
+from ursnav_torch.session import SessionControls
 
 logger = logging.getLogger(__name__)
 
@@ -29,10 +30,11 @@ SLOWER, MUCH_SLOWER = 3.0, 6.0
 
 
 class LivePage:
-    """Shows a desk's navigation on a page; closing it changes nothing, opening it again shows everything.
+    """Shows navigation on a page; closing it changes nothing, opening it again shows everything.
 
     Args:
-        desk: what to show and steer.
+        navigator: what to show.
+        controls: what steers its session.
         host, port: where to listen; this computer only.
 
     Raises:
@@ -40,8 +42,10 @@ class LivePage:
         MissingExtraError: viser is not installed.
     """
 
-    def __init__(self, desk: Desk, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self.desk, self._vid = desk, desk.navigator.vid
+    def __init__(
+        self, navigator: Navigator, controls: SessionControls, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        self.navigator, self.controls, self._vid = navigator, controls, navigator.vid
         self.server = start_server(host, port, "ursnav")
         self.url = f"http://127.0.0.1:{self.server.get_port()}"
         self._pictures = Pictures(self._vid)
@@ -63,8 +67,8 @@ class LivePage:
 
     def choose(self, calyx: str) -> None:
         """A calyx was clicked: route there and show its views; clicked again, navigation proposes the next."""
-        chosen = self.desk.navigator.bus.latest().guidance.chosen
-        self.desk.navigator.choose("" if calyx == chosen else calyx)
+        chosen = self.navigator.bus.latest().guidance.chosen
+        self.navigator.choose("" if calyx == chosen else calyx)
         names = [c.name for c in self._vid.kidney.calyces]
         views = self._pictures.calyx(names.index(calyx))
         self._views.content = picture_html(views, f"views of calyx {calyx}", "views")
@@ -83,16 +87,16 @@ class LivePage:
         self._robot: RobotControls | None = None
         self._replay: ReplayControls | None = None
         with panel.add_tab("Session"):
-            console = self.desk.console
+            console = self.controls.console
             if console is not None and console.has_robot:
                 add_stop(self.server, console)
             self._status = gui.add_html(status_html("Starting."))
             self._confidence = gui.add_html("")
-            if self.desk.player is not None:
-                self._replay = ReplayControls(self.server, self.desk.player)
+            if self.controls.player is not None:
+                self._replay = ReplayControls(self.server, self.controls.player)
             if console is not None and console.has_robot:
                 self._robot = RobotControls(self.server, console)
-            add_end(self.server, self.desk)
+            add_end(self.server, self.controls)
         panel.dock_left()
         panel.set_width(270)
 
@@ -105,7 +109,7 @@ class LivePage:
         with gui.add_folder("Go to calyx"):
             group = gui.add_button_group("", [c.name for c in self._vid.kidney.calyces])
             on_press(group)(lambda: self.choose(str(group.value)))
-            on_press(gui.add_button("Propose the next one"))(lambda: self.desk.navigator.choose(""))
+            on_press(gui.add_button("Propose the next one"))(lambda: self.navigator.choose(""))
             self._views = gui.add_html("")
         self._latency = gui.add_html("")
 
@@ -115,7 +119,7 @@ class LivePage:
             if not self.server.get_clients():
                 continue
             try:
-                show(self.desk.navigator.bus.latest())
+                show(self.navigator.bus.latest())
             except Exception:  # whatever a picture does to the page, navigation and its controls stay
                 logger.exception("The page could not be brought up to date.")
 
@@ -155,7 +159,7 @@ class LivePage:
             self._framed = state.frame
             scene.show_picture(self._pictures.scope(state.frame.image))
         if self._due("paint", PAINT_S):
-            scene.paint(self.desk.navigator.guide.coverage.patches.of_face, g.seen)
+            scene.paint(self.navigator.patch_of_face, g.seen)
             scene.show_path(state.path_mm)
             scene.show_route(g.route.points_mm if g.route else None)
 
@@ -171,14 +175,16 @@ class LivePage:
         """Poses a second, over the last two seconds."""
         since, before = self._located
         if now - since >= 2.0:
-            located = self.desk.navigator.located
+            located = self.navigator.located
             self._rate, self._located = (located - before) / (now - since), (now, located)
 
 
 @contextmanager
-def web_page(desk: Desk, host: str = "127.0.0.1", port: int = 8080) -> Iterator[LivePage]:
+def web_page(
+    navigator: Navigator, controls: SessionControls, host: str = "127.0.0.1", port: int = 8080
+) -> Iterator[LivePage]:
     """A `LivePage` for as long as the session runs; says where it is."""
-    page = LivePage(desk, host, port)
+    page = LivePage(navigator, controls, host, port)
     print(f"page: {page.url}", file=sys.stderr, flush=True)
     try:
         yield page

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.devices import Frame
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.files import whole_file
@@ -19,7 +20,6 @@ from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.overview import draw_overview
 from ursnav_torch.session import Replay
-from ursnav_torch.session.hold import POSITION, QUATERNION
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import Vid
 
@@ -145,7 +145,8 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
 
 def _poses(rows: list[dict[str, Any]]) -> Array:
     """T_kidney_camera (N, 4, 4) of results' rows."""
-    found = [transform_from_quaternion([r[c] for c in POSITION], [r[c] for c in QUATERNION]) for r in rows]
+    values = [[r[c] for c in POSE_COLUMNS] for r in rows]
+    found = [transform_from_quaternion(v[:3], v[3:]) for v in values]
     return np.array(found, float).reshape(-1, 4, 4)
 
 
@@ -165,7 +166,7 @@ def _way(positions: Array, t: Array, scale: float) -> tuple[float, float]:
 
 def _from_tip(row: dict[str, Any], tip_mm: Array | None) -> float:
     """Distance of a row's camera from a calyx's tip, mm."""
-    return 0.0 if tip_mm is None else float(np.linalg.norm(tip_mm - [row[c] for c in POSITION]))
+    return 0.0 if tip_mm is None else float(np.linalg.norm(tip_mm - [row[c] for c in POSE_COLUMNS[:3]]))
 
 
 def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ursnav_torch.navigation import Governor, Navigator, Observer, hold_navigation, sensor_in_kidney
+from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
 from ursnav_torch.reports.session import write_session_report
 from ursnav_torch.session import Recorder, Replay, Rig
 from ursnav_torch.simulation import World
@@ -18,7 +18,7 @@ def navigate_vid(
     vid: Vid,
     hardware: Replay | Callable[..., Rig],
     make_renderer: MakeRenderer,
-    observer: Observer | None = None,
+    page: Page | None = None,
     out: Path | None = None,
     duration_s: float = 0.0,
     em_to_kidney: Path | None = None,
@@ -33,7 +33,7 @@ def navigate_vid(
         vid: the views; a simulated scope is in its kidney and looks through its lens.
         hardware: a record, or what builds a rig (a partial of `session.build_rig`).
         make_renderer: draws a simulated scope's pictures.
-        observer: a page, or None.
+        page: what shows it, or None.
         out: folder for the record, with the report in it; None keeps nothing.
         duration_s: end after so long; 0 for no end.
         em_to_kidney, sensor_offset_mm: registration of the EM tracker, and its sensor's place in the camera frame.
@@ -55,7 +55,7 @@ def navigate_vid(
     def world() -> World:
         return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera))
 
-    summary = hold_navigation(navigator, hardware, world, recorder, duration_s, observer).text()
+    summary = run_navigation(navigator, hardware, world, recorder, duration_s, page).text()
     if out is None:
         return summary
     report = write_session_report(vid, Replay(out, speed=0), out / REPORT)

@@ -1,29 +1,41 @@
 """What came in and went out, kept and played back: `Live` makes the events of a rig, `Recorder` writes them,
-`Replay` reads them again, `run_session` works through either, and `hold_session` connects the devices first.
+`Replay` reads them again, `open_session` connects either, and `run_session` is the loop that works through it.
 """
 
+from ursnav_torch.session.console import MOVES, Console
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Result, Snapshot
-from ursnav_torch.session.hold import StatusLine, hold_session
 from ursnav_torch.session.live import Live
+from ursnav_torch.session.open import Session, SessionControls, open_session
+from ursnav_torch.session.player import Player
 from ursnav_torch.session.record import Recorder
 from ursnav_torch.session.replay import Replay
-from ursnav_torch.session.rig import LATER, Rig, build_rig
-from ursnav_torch.session.run import Summary, run_session
+from ursnav_torch.session.rig import Rig, build_rig
+from ursnav_torch.session.run import Observer, Summary, Worker, run_session
+from ursnav_torch.session.source import Pace, Source
+from ursnav_torch.session.status_line import StatusLine
 
 __all__ = [
-    "LATER",
+    "MOVES",
+    "Console",
     "Control",
     "Event",
     "Live",
+    "Observer",
+    "Pace",
+    "Player",
     "Recorder",
     "Replay",
     "Result",
     "Rig",
+    "Session",
+    "SessionControls",
     "Snapshot",
+    "Source",
     "StatusLine",
     "Summary",
+    "Worker",
     "build_rig",
-    "hold_session",
+    "open_session",
     "run_session",
 ]

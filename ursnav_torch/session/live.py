@@ -22,6 +22,7 @@ from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTime
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Snapshot
 from ursnav_torch.session.rig import Rig
+from ursnav_torch.session.source import Pace
 
 logger = logging.getLogger(__name__)
 CONTROL_HZ = 50.0
@@ -50,6 +51,11 @@ class Live:
         self._end = threading.Event()
         self._note = Stamper()
         self._snapshot = Stamper()
+
+    @property
+    def pace(self) -> Pace:
+        """Devices give pictures without pause; a simulation stamps them before it has drawn them."""
+        return Pace(stamped_now=self.rig.twin is None)
 
     def stop(self) -> None:
         """End the session; what has happened so far is still given out."""

@@ -1,8 +1,7 @@
-"""Reading a session back: whole or cut off, at its own pace or as fast as it can be read."""
+"""Reading a session back, whole or cut off."""
 
 import json
 import logging
-import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +25,8 @@ class Replay:
 
     Args:
         path: the record's folder; ``NAME.partial`` is taken where ``NAME`` does not exist.
-        speed: 1 for the session's own pace, 2 for twice as fast, 0 for as fast as possible.
+        speed: at which a `Player` plays it: 1 for the session's own pace, 2 for twice as fast, 0 for as fast as
+            possible.
 
     Raises:
         InputError: there is no record, it is of a newer format, or the speed is negative.
@@ -43,16 +43,8 @@ class Replay:
         self.about: dict[str, Any] = self._read_about()
 
     def __iter__(self) -> Iterator[Event]:
-        """All events; iterate again to replay again."""
-        start: tuple[float, float] | None = None
-        for event in self.events():
-            if self.speed:
-                start = start or (event.stamp.t_mono_s, time.monotonic())
-                due = start[1] + (event.stamp.t_mono_s - start[0]) / self.speed
-                time.sleep(max(0.0, due - time.monotonic()))
-            yield event
-        if self.damaged:
-            logger.warning("%s: %d damaged items were left out.", self.path, self.damaged)
+        """All events as fast as they can be read; `Player` keeps the session's own pace."""
+        return self.events()
 
     def events(self, from_s: float = 0.0) -> Iterator[Event]:
         """Events from some seconds after the first one on, as fast as they can be read; no picture before is read."""
@@ -69,16 +61,13 @@ class Replay:
             if isinstance(event, Frame):
                 last = event
             yield event
+        if self.damaged:
+            logger.warning("%s: %d damaged items were left out.", self.path, self.damaged)
 
     def duration_s(self) -> float:
         """Time from the first event to the last."""
         times = [t for t in map(_time, self._lines()) if t is not None]
         return max(times) - times[0] if times else 0.0
-
-    def located_frames(self) -> set[int] | None:
-        """Numbers of the pictures from which results were computed, None if there are no results at all."""
-        found = {int(data["frame"]) for data in self._lines() if data["kind"] == "result"}
-        return found or None
 
     def results(self) -> list[Result]:
         """The results as they were recorded."""

@@ -4,8 +4,9 @@ import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from inspect import signature
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from ursnav_torch.devices import (
     Camera,
@@ -17,7 +18,11 @@ from ursnav_torch.devices import (
     Tracker,
 )
 from ursnav_torch.errors import DeviceError, InputError
+from ursnav_torch.kidney import Kidney
 from ursnav_torch.simulation import Twin, World
+
+#: What a rig gives to its devices, by type.
+PROVIDED: tuple[Any, ...] = (Twin, Kidney, Robot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +65,6 @@ class Rig:
                 device.dispose()
 
 
-#: Stands, in a ``functools.partial`` of a device, for what the rig fills in; ``null`` in a config.
-LATER: Any = None
 #: A device, a ``functools.partial`` of one's class that lacks what only the rig knows, or nothing (None or empty).
 Choice = Any
 
@@ -79,38 +82,47 @@ def build_rig(
     """Put a rig together.
 
     Args:
-        camera, tracker, robot, light, gamepad, output: devices. A partial is given what it holds as `LATER` under the
-            names ``twin``, ``robot`` and ``kidney``.
+        camera, tracker, robot, light, gamepad, output: devices. A partial is given those of its missing arguments whose
+            annotation asks for the rig's `Twin`, `Robot` or `Kidney`.
         twin: makes the digital twin; called only when a device asks for it.
         world: makes the anatomy for the twin; called only then.
 
     Raises:
         InputError: a simulated device is asked for where there is no twin or no world.
     """
-    choices = (camera, tracker, robot, light, gamepad)
-    simulated = any(isinstance(c, partial) and "twin" in c.keywords and c.keywords["twin"] is None for c in choices)
-    if not simulated:
-        the_world, the_twin = None, None
-    elif twin is None or world is None:
-        raise InputError("A simulated device needs a twin and a kidney to be in; start from hardware=simulated.")
-    else:
+    choices = (camera, tracker, robot, light, gamepad, output)
+    parts: dict[type, Any] = {}
+    if any(Twin in _wanted(choice).values() for choice in choices):
+        if twin is None or world is None:
+            raise InputError("A simulated device needs a twin and a kidney to be in; start from hardware=simulated.")
         the_world = world()
-        the_twin = twin(the_world)
-    known: dict[str, Any] = {"twin": the_twin, "kidney": the_world and the_world.kidney}
-    the_robot = _make(robot, known)
-    known["robot"] = the_robot
+        parts = {Twin: twin(the_world), Kidney: the_world.kidney}
+    parts[Robot] = _make(robot, parts)
     return Rig(
-        camera=_make(camera, known),
-        tracker=_make(tracker, known),
-        robot=the_robot,
-        light=_make(light, known),
-        gamepad=_make(gamepad, known),
-        output=_make(output, known),
-        twin=the_twin,
+        camera=_make(camera, parts),
+        tracker=_make(tracker, parts),
+        robot=parts[Robot],
+        light=_make(light, parts),
+        gamepad=_make(gamepad, parts),
+        output=_make(output, parts),
+        twin=parts.get(Twin),
     )
 
 
-def _make(choice: Choice, known: Mapping[str, Any]) -> Any:
+def _wanted(choice: Choice) -> dict[str, type]:
+    """The arguments that a partial lacks and the rig provides, with the types that their annotations ask for."""
+    if not isinstance(choice, partial):
+        return {}
+    asked = {p.name: p.annotation for p in signature(choice.func, eval_str=True).parameters.values()}
+    return {
+        name: kind
+        for name, hint in asked.items()
+        for kind in PROVIDED
+        if name not in choice.keywords and (kind is hint or kind in get_args(hint))
+    }
+
+
+def _make(choice: Choice, parts: Mapping[type, Any]) -> Any:
     if not isinstance(choice, partial):
         return choice or None
-    return choice(**{name: known[name] for name, value in choice.keywords.items() if value is None and name in known})
+    return choice(**{name: parts.get(kind) for name, kind in _wanted(choice).items()})

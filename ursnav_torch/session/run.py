@@ -1,108 +1,117 @@
-"""A session from end to end: events in, record and results out, live and replayed alike."""
+"""The session loop: events in, record and results out, the same for live devices and a replay."""
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Protocol
 
-from ursnav_torch.devices import Frame, Stamper, TrackerSample
-from ursnav_torch.errors import UrsnavError
+from ursnav_torch.devices import Frame, Note, TrackerSample
 from ursnav_torch.session.events import Event, Result
-from ursnav_torch.session.live import Live
-from ursnav_torch.session.record import Recorder
-from ursnav_torch.session.replay import Replay
+from ursnav_torch.session.source import Source
 
-#: A live picture older than this when its turn comes is recorded but no longer located.
-STALE_S = 0.3
-Locate = Callable[[Frame, TrackerSample | None], dict[str, Any]]
+#: Sees every event of a session, results included; must be quick.
+Observer = Callable[[Event], None]
+_NAMES = {"Frame": "pictures", "TrackerSample": "EM samples", "CommandSample": "commands", "Result": "results",
+          "Snapshot": "snapshots"}  # fmt: skip
+
+
+class Worker(Protocol):
+    """Computes results from a session's events, in threads of its own or at once."""
+
+    def take(self, event: Event) -> None:
+        """Take an event; must not wait."""
+
+    def wait(self) -> bool:
+        """Wait until the last picture taken is dealt with; False when that took too long."""
+
+    def results(self) -> Sequence[Result]:
+        """The results made since the last call."""
 
 
 @dataclass(slots=True)
 class Summary:
-    """What a session brought: events by kind, lost ones, results, and how long it took."""
+    """What a session brought.
+
+    Attributes:
+        counts: events by kind.
+        lost: gaps in the sources' own numbers, by kind.
+        dropped: events that nobody took in time.
+        faults: warnings and errors of devices, in order; what was missed while a device was gone is in no count.
+        seconds: how long it took.
+    """
 
     counts: dict[str, int] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
-    not_located: int = 0
+    faults: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    results: list[Result] = field(default_factory=list)
+    _last: dict[str, int] = field(default_factory=dict, repr=False)
+
+    def add(self, event: Event) -> None:
+        """Count an event; a source whose numbers begin anew was connected again."""
+        kind = type(event).__name__
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        if isinstance(event, Note) and event.level != "info" and len(self.faults) < MOST_FAULTS:
+            self.faults.append(event.text)
+        if kind in ("Frame", "TrackerSample", "CommandSample"):
+            number = event.source_frame if isinstance(event, TrackerSample) else event.stamp.sequence
+            gap = number - self._last.get(kind, number - 1) - 1
+            if gap > 0:
+                self.lost[kind] = self.lost.get(kind, 0) + gap
+            self._last[kind] = number
 
     def text(self) -> str:
-        """The summary for people to read."""
-        names = {"Frame": "pictures", "TrackerSample": "EM samples", "CommandSample": "commands", "Result": "results",
-                 "Snapshot": "snapshots"}  # fmt: skip
-        counts = ", ".join(f"{self.counts[kind]} {name}" for kind, name in names.items() if kind in self.counts)
-        lost = ", ".join(f"{n} {names[kind]}" for kind, n in self.lost.items())
-        lost = f"lost: {lost}" if lost else "none lost"
-        return f"{self.seconds:.1f} s: {counts or 'nothing'}; {lost}" + (
-            f"; {self.dropped} dropped" if self.dropped else ""
-        )
+        """The summary for people to read; "none lost" only where nothing was, and no device failed."""
+        counts = ", ".join(f"{self.counts[kind]} {name}" for kind, name in _NAMES.items() if kind in self.counts)
+        bad = [f"{n} {_NAMES[kind]} lost" for kind, n in self.lost.items()]
+        bad += [f"{self.dropped} dropped"] * bool(self.dropped)
+        if self.faults:
+            bad.append(f"{len(self.faults)} device faults (what they cost is not counted), the first: {self.faults[0]}")
+        return f"{self.seconds:.1f} s: {counts or 'nothing'}; {'; '.join(bad) or 'none lost'}"
 
 
-def run_session(
-    source: Live | Replay,
-    recorder: Recorder | None = None,
-    locate: Locate | None = None,
-    on_event: Callable[[Event], None] | None = None,
-    keep_results: bool = True,
-) -> Summary:
-    """Work through a session.
+#: A device that fails for hours must not fill the memory with the same words.
+MOST_FAULTS = 1000
 
-    Live, a picture whose turn comes late is recorded but not located. A replay locates exactly the pictures that were
-    located then (all, if none were), so that the same code gives the same rows and newer code comparable ones.
+
+def run_session(source: Source, worker: Worker | None = None, observers: Sequence[Observer] = ()) -> Summary:
+    """Work through a session: every event to all observers, and to the worker, whose results are events, too.
+
+    With a worker, the results of a replayed session are left out: they are made anew.
 
     Args:
-        source: a live rig or a record.
-        recorder: where everything goes, or None.
-        locate: computes a row of plain values from a picture and the newest EM sample before it; where it raises the
-            package's own errors, the row holds only ``error``.
-        on_event: sees every event, results included; must be quick.
-        keep_results: False for sessions without end: results then go to recorder and observer alone.
+        source: a live rig or a record's player.
+        worker: computes results, or None.
+        observers: the recorder, a status line, another program; called in this order.
 
-    Returns:
-        Counts, losses by gaps in the sources' own numbers, and the results.
+    Raises:
+        InputError: an observer cannot go on (a full disk); the source is then stopped.
     """
     summary, begun = Summary(), time.monotonic()
-    chosen = source.located_frames() if isinstance(source, Replay) and locate else None
-    stamp, tracker = Stamper(), None
-    spans: dict[str, tuple[int, int]] = {}
 
-    def take(event: Event) -> None:
-        kind = type(event).__name__
-        summary.counts[kind] = summary.counts.get(kind, 0) + 1
-        number = event.source_frame if isinstance(event, TrackerSample) else event.stamp.sequence
-        spans[kind] = (spans.get(kind, (number, 0))[0], number)
-        if recorder:
-            recorder.write(event)
-        if on_event:
-            on_event(event)
-        if isinstance(event, Result) and keep_results:
-            summary.results.append(event)
+    def tell(event: Event) -> None:
+        summary.add(event)
+        for observer in observers:
+            observer(event)
 
-    for event in source:
-        if isinstance(event, Result) and locate:
-            continue  # computed anew
-        take(event)
-        if isinstance(event, TrackerSample):
-            tracker = event
-        if locate and isinstance(event, Frame):
-            late = isinstance(source, Live) and time.monotonic() - event.stamp.t_mono_s > STALE_S
-            if late or (chosen is not None and event.stamp.sequence not in chosen):
-                summary.not_located += 1
-            else:
-                take(Result(stamp(), event.stamp.sequence, _row(locate, event, tracker)))
-    for kind, (first, last) in spans.items():
-        if kind in ("Frame", "TrackerSample", "CommandSample") and (lost := last - first + 1 - summary.counts[kind]):
-            summary.lost[kind] = lost
-    summary.dropped = source.dropped if isinstance(source, Live) else 0
-    summary.seconds = time.monotonic() - begun
+    with contextlib.ExitStack() as stack:
+        stack.callback(source.stop)
+        events = iter(source)
+        stack.callback(getattr(events, "close", lambda: None))  # a generator ends its threads here, not some day
+        for event in events:
+            if worker is None or not isinstance(event, Result):
+                tell(event)
+            if worker is None:
+                continue
+            worker.take(event)
+            if source.pace.patient and isinstance(event, Frame):
+                worker.wait()
+            for result in worker.results():
+                tell(result)
+    if worker is not None:
+        worker.wait()
+        for result in worker.results():
+            tell(result)
+    summary.dropped, summary.seconds = source.dropped, time.monotonic() - begun
     return summary
-
-
-def _row(locate: Locate, frame: Frame, tracker: TrackerSample | None) -> dict[str, Any]:
-    """The row of a picture; one that cannot be located has only an ``error``."""
-    try:
-        return locate(frame, tracker)
-    except UrsnavError as error:
-        return {"error": str(error)}

@@ -5,7 +5,9 @@ import time
 from collections.abc import Callable, Iterator
 
 from ursnav_torch.devices import Frame
-from ursnav_torch.session import Event, Replay
+from ursnav_torch.session.events import Event
+from ursnav_torch.session.replay import Replay
+from ursnav_torch.session.source import Pace
 
 
 class Player:
@@ -15,14 +17,28 @@ class Player:
         replay: the record and its speed; at speed 0 pictures come as fast as they are taken.
         stay: at the end wait for `seek` or `stop` instead of ending.
         on_seek: called before the first event of another moment.
+        duration_s: end so long after the record's beginning; 0 for its end.
     """
 
-    def __init__(self, replay: Replay, stay: bool = False, on_seek: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, replay: Replay, stay: bool = False, on_seek: Callable[[], None] = lambda: None, duration_s: float = 0.0
+    ) -> None:
+        self._limit_s = duration_s
         self.replay, self.stay, self._on_seek = replay, stay, on_seek
         self.duration_s, self.position_s, self.playing = replay.duration_s(), 0.0, True
         self._changed = threading.Condition()
         self._goal_s: float | None = None
         self._steps, self._ended = 0, False
+
+    @property
+    def pace(self) -> Pace:
+        """A record's times are of another day; at speed 0 it waits until each picture is dealt with."""
+        return Pace(stamped_now=False, steady=False, patient=self.replay.speed == 0)
+
+    @property
+    def dropped(self) -> int:
+        """Nothing: a record waits."""
+        return 0
 
     def play(self) -> None:
         """Go on; from the beginning where the record is at its end."""
@@ -74,6 +90,8 @@ class Player:
         anchor = (from_s, time.monotonic())
         for event in self.replay.events(from_s):
             at_s = event.stamp.t_mono_s - begun_s
+            if 0 < self._limit_s <= at_s:
+                self.stop()
             with self._changed:
                 if not (self.playing or self._steps):
                     self._changed.wait_for(lambda: self.playing or self._steps or self._turned())

@@ -3,7 +3,7 @@
 import time
 
 from ursnav_torch.devices import Gamepad, OperatorInput, SafetyGate
-from ursnav_torch.navigation import Console
+from ursnav_torch.session import Console
 from ursnav_torch.simulation import TwinPilot
 
 

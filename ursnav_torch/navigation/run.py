@@ -1,0 +1,87 @@
+"""Navigating from end to end: a session's events in, states out to a page, rows to the record."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ursnav_torch.devices import Frame
+from ursnav_torch.navigation.navigator import Navigator
+from ursnav_torch.navigation.state import NavigationState
+from ursnav_torch.session import Event, Recorder, Replay, Result, Rig, SessionControls, Summary, open_session
+from ursnav_torch.simulation import World
+from ursnav_torch.tracking.tracker import TRACKING
+
+#: Shows navigation from beginning to end and steers its session; a web page, for example.
+Page = Callable[[Navigator, SessionControls], contextlib.AbstractContextManager[Any]]
+
+
+@dataclass(slots=True)
+class NavigationSummary:
+    """What navigating a session brought."""
+
+    session: Summary = field(default_factory=Summary)
+    located: int = 0
+    passed_over: int = 0
+    tracking: int = 0
+    latency_ms: tuple[float, float] = (0.0, 0.0)
+    last: NavigationState = field(default_factory=NavigationState)
+
+    @property
+    def pictures(self) -> int:
+        """How many pictures came."""
+        return self.session.counts.get(Frame.__name__, 0)
+
+    def text(self) -> str:
+        """The summary for people to read."""
+        seconds = self.session.seconds
+        lines = [
+            f"{seconds:.1f} s: {self.pictures} pictures, {self.located} located "
+            f"({self.located / max(seconds, 1e-9):.1f} a second), {self.tracking} of them tracking; "
+            f"picture to pose {self.latency_ms[0]:.0f} ms median, {self.latency_ms[1]:.0f} ms 95th percentile",
+            self.session.text(),
+            *(f"  {c.calyx}: {c.verdict}, {c.share:.0%} of its wall seen" for c in self.last.guidance.coverage),
+        ]
+        return "\n".join(lines)
+
+
+def run_navigation(
+    navigator: Navigator,
+    hardware: Replay | Callable[..., Rig],
+    world: Callable[[], World] | None = None,
+    recorder: Recorder | None = None,
+    duration_s: float = 0.0,
+    page: Page | None = None,
+) -> NavigationSummary:
+    """Connect what there is, navigate until the end, disconnect.
+
+    Args:
+        navigator: not yet entered.
+        hardware, world, recorder, duration_s: see `open_session`.
+        page: navigation does not wait for it.
+
+    Raises:
+        InputError: the record is to be written over itself.
+        DeviceError: a device cannot be connected.
+    """
+    summary = NavigationSummary()
+
+    def count(event: Event) -> None:
+        summary.tracking += isinstance(event, Result) and event.row.get("state") == TRACKING
+
+    opened = open_session(hardware, world, recorder, duration_s, page is not None, navigator.forget_place)
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(opened)
+        navigator.expect(session.source.pace)
+        stack.enter_context(navigator)
+        if page:
+            stack.enter_context(page(navigator, session.controls))
+        summary.session = session.run(navigator, count)
+    total = [1e3 * latency.total_s for latency in navigator.latencies]
+    if total:
+        summary.latency_ms = (float(np.median(total)), float(np.percentile(total, 95)))
+    summary.located, summary.passed_over = navigator.located, navigator.passed_over
+    summary.last = navigator.bus.latest()
+    return summary

@@ -1,0 +1,139 @@
+"""Opening a session: devices or a record connected, recorder and other programs attached, signals heard."""
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from types import FrameType
+
+from ursnav_torch.columns import POSE_COLUMNS
+from ursnav_torch.devices import Frame, Output, RobotSample
+from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import transform_from_quaternion
+from ursnav_torch.session.console import Console
+from ursnav_torch.session.events import Event, Result
+from ursnav_torch.session.live import Live
+from ursnav_torch.session.player import Player
+from ursnav_torch.session.record import Recorder
+from ursnav_torch.session.replay import Replay
+from ursnav_torch.session.rig import Rig, World
+from ursnav_torch.session.run import Observer, Summary, Worker, run_session
+from ursnav_torch.session.source import Source
+
+#: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionControls:
+    """All that a page may touch of a session.
+
+    Attributes:
+        stop: ends the session.
+        console: the hands of a robot's operator; None in a replay.
+        player: what a replay is steered by; None live.
+    """
+
+    stop: Callable[[], None]
+    console: Console | None = None
+    player: Player | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """An open session: where its events come from, what steers it, and who keeps them."""
+
+    source: Source
+    controls: SessionControls
+    keepers: tuple[Observer, ...]
+
+    def run(self, worker: Worker | None = None, *observers: Observer) -> Summary:
+        """Work through it until its end; see `run_session`."""
+        return run_session(self.source, worker, (*self.keepers, *observers))
+
+
+@contextlib.contextmanager
+def open_session(
+    hardware: Replay | Callable[..., Rig],
+    world: Callable[[], World] | None = None,
+    recorder: Recorder | None = None,
+    duration_s: float = 0.0,
+    watched: bool = False,
+    on_seek: Callable[[], None] = lambda: None,
+) -> Iterator[Session]:
+    """Connect what there is; disconnect at the end. `SIGNALS` end the session in good order, a second one at once.
+
+    Args:
+        hardware: a record, or what builds a rig when given ``world`` (a partial of `build_rig`).
+        world: makes the anatomy of a simulated scope; called only when there is one.
+        recorder: where everything goes, or None.
+        duration_s: end after so long; 0 for no end but the operator's, or the record's.
+        watched: a page watches: a replay stays open at its end, a pilot leaves the scope to the page.
+        on_seek: called when a replay goes on from another moment.
+
+    Raises:
+        InputError: the record is to be written over itself.
+        DeviceError: a device cannot be connected.
+    """
+    with contextlib.ExitStack() as stack:
+        if isinstance(hardware, Replay):
+            session = _open_replay(hardware, recorder, Player(hardware, watched, on_seek, duration_s))
+        else:
+            session = _open_rig(hardware(world=world), duration_s, watched, stack)
+        stack.enter_context(ended_by_signals(session.source.stop))
+        keepers = session.keepers if recorder is None else (stack.enter_context(recorder).write, *session.keepers)
+        yield replace(session, keepers=keepers)
+
+
+def _open_replay(replay: Replay, recorder: Recorder | None, player: Player) -> Session:
+    if recorder and recorder.path.absolute() == replay.path.absolute():
+        raise InputError(f"{replay.path} cannot be replayed and written at the same time; choose another out=.")
+    return Session(player, SessionControls(player.stop, player=player), ())
+
+
+def _open_rig(rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack) -> Session:
+    console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched)
+    rig = stack.enter_context(replace(rig, gamepad=console))
+    live = Live(rig, duration_s)
+    keepers = (partial(publish, rig.output),) if rig.output else ()
+    return Session(live, SessionControls(live.stop, console=console), keepers)
+
+
+@contextlib.contextmanager
+def ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Inside, the first of `SIGNALS` calls ``stop``, which must not wait; the next acts as it did before.
+
+    Signals reach the main thread only; in another one this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        restore()
+        stop()
+
+    for number in SIGNALS:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        restore()
+
+
+def publish(output: Output, event: Event) -> None:
+    """Show an event to another program: pictures, joints, and the pose in a result's row that was accepted."""
+    if isinstance(event, Frame):
+        output.publish_image(event)
+    elif isinstance(event, RobotSample):
+        output.publish_joints(event.joints, event.stamp.t_wall_s)
+    elif isinstance(event, Result) and event.row.get("accepted") and event.row.get("x_mm") is not None:
+        values = [float(event.row[name]) for name in POSE_COLUMNS]
+        output.publish_pose(transform_from_quaternion(values[:3], values[3:]), event.stamp.t_wall_s)
