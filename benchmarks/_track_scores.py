@@ -1,0 +1,59 @@
+"""The bars that tracks are judged by."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks._results import Report
+from benchmarks._track_records import Record
+from ursnav_torch.tracking.tracker import LOST, TRACKING
+
+Array = NDArray[np.float64]
+#: A track this far off is wrong; a loss is over when it is nearer again.
+FAR_MM = 3.0
+#: A standard deviation per axis times this holds 90 % of a normal distribution in space.
+CHI3_90 = 2.5003
+
+
+def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
+    """One group of rows over all pictures of some tracks."""
+    on = np.concatenate([r.state == TRACKING for r in records])
+    off = np.concatenate([r.off_mm for r in records])
+    sd = np.concatenate([r.position_sd_mm for r in records])
+    fog = np.concatenate([r.flown.fogged for r in records])
+    n, known = len(on), on & np.isfinite(off)
+    report.add(group, "a place (tracking)", "%", [100 * on.mean()], n=n)
+    report.add(
+        group, "tracking, yet more than 3 mm off", "%", [100 * float((off[known] > FAR_MM).mean())], n=int(on.sum())
+    )
+    report.add(group, "position", "mm", off[known].tolist())
+    report.add(group, "position, 90th percentile", "mm", [float(np.percentile(off[known], 90))], n=int(on.sum()))
+    turned = np.concatenate([r.turned_deg for r in records])
+    report.add(group, "direction", "deg", turned[known].tolist())
+    right = np.concatenate([(r.calyx == r.true_calyx)[(r.true_calyx >= 0) & (r.state == TRACKING)] for r in records])
+    report.add(group, "right calyx, of pictures tracked that have one", "%", [100 * float(right.mean())], n=len(right))
+    found = [s for r in records for s in losses_s(r)]
+    if found:
+        soon = [s <= 2.0 for s in found]
+        report.add(group, "losses found again within 2 s", "%", [100 * float(np.mean(soon))], n=len(soon))
+        report.add(group, "longest loss", "s", [max(found)], n=len(found))
+    ended = sum(r.state[-1] == LOST for r in records)
+    report.add(group, "flights that end lost", f"of {len(records)}", [float(ended)], n=len(records))
+    told = np.isfinite(sd) & np.isfinite(off)
+    for name, of in (("", told), (", foggiest quarter", told & (fog >= np.quantile(fog, 0.75)) & (fog > 0))):
+        if of.any():
+            inside = off[of] <= CHI3_90 * sd[of]
+            report.add(group, f"truth in the 90 % region{name}", "%", [100 * float(inside.mean())], n=int(of.sum()))
+
+
+def losses_s(record: Record) -> list[float]:
+    """How long each stretch without a place, or with a wrong one, lasted; the first place's is not among them."""
+    t = record.flown.flight.t_s
+    bad = (record.state != TRACKING) | ~(record.off_mm <= FAR_MM)
+    if bad.all():
+        return [float(t[-1] - t[0])]
+    first = int(np.argmin(bad))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad[first:], [False]]))) + first
+    ends = [min(e, len(t) - 1) for e in edges[1::2].tolist()]
+    return [float(t[e] - t[s]) for s, e in zip(edges[::2].tolist(), ends, strict=True)]

@@ -1,0 +1,67 @@
+"""Tracking over a population of flights: half of them choose the settings, the other half judges.
+
+    python -m benchmarks.flights work=DIR                       # the judging half, live, without odometry
+    python -m benchmarks.flights work=DIR half=choosing         # the half that settings may be chosen with
+    python -m benchmarks.flights work=DIR data=DIR              # the kidneys in DIR judge, too
+    python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
+
+Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
+change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only.
+"""
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks._flights import CHOOSING, JUDGING, Case, flown, population, vid_for
+from benchmarks._results import Report, overrides
+from benchmarks._track_records import Choice, Record, tracked
+from benchmarks._track_scores import add_scores
+from ursnav_torch.errors import InputError
+from ursnav_torch.kidney import LumenDistance
+
+SETTINGS = {
+    "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "", "odometry": False,
+    "only": "", "out": "",
+}  # fmt: skip
+
+
+def main(arguments: list[str]) -> None:
+    """Track, score, print and keep the figures."""
+    settings = overrides(SETTINGS, arguments)
+    if settings["half"] not in (CHOOSING, JUDGING):
+        raise InputError(f"half={settings['half']!r} is no half of the flights; give {CHOOSING} or {JUDGING}.")
+    if settings["vary"] and settings["half"] != CHOOSING:
+        raise InputError(f"vary= chooses a setting, which the {JUDGING} half must not see; give half={CHOOSING}.")
+    report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(settings["work"] or scratch)
+        choices = [Choice(odometry=settings["odometry"]), *Choice.varied(settings["vary"], settings["odometry"])]
+        records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
+        for choice, record in _all_records(settings, work, choices):
+            records[choice].append(record)
+    for choice, found in records.items():
+        add_scores(report, str(choice), found)
+    print(report.table())
+    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+
+
+def _all_records(settings: dict, work: Path, choices: list[Choice]) -> Iterator[tuple[Choice, Record]]:
+    data = Path(settings["data"]) if settings["data"] else None
+    given = () if data is None else tuple(sorted(p.parent.name for p in data.glob("*/video.mp4")))
+    cases = [c for c in population(settings["phantoms"], given) if c.half == settings["half"]]
+    cases = [c for c in cases if settings["only"] in c.name]
+    for kidney in dict.fromkeys(c.kidney for c in cases):
+        these: list[Case] = [c for c in cases if c.kidney == kidney]
+        vid = vid_for(these[0], settings["views"], work, data)
+        lumen = LumenDistance.from_kidney(vid.kidney)
+        for case in these:
+            seen = flown(case, vid, lumen, settings["pictures"], work)
+            for choice in choices:
+                yield choice, tracked(seen, vid, lumen, choice)
+            print(f"{case.name}: severity {case.severity:g}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
