@@ -18,6 +18,7 @@ import torch
 from benchmarks._em import OFFSET_MM, Drive, drive_through, readings, rms, simulated_matches
 from benchmarks._kidneys import data_folder
 from benchmarks._results import Report, overrides
+from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError, RegistrationError
 from ursnav_torch.geometry import Array, apply, inverse
 from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney, make_phantom_kidney
@@ -27,7 +28,6 @@ from ursnav_torch.registration import (
     camera_errors,
     compare_poses,
     confusion,
-    read_em_samples,
     read_landmarks,
     register_centerline,
     register_landmarks,

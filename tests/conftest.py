@@ -46,6 +46,15 @@ def data() -> Path:
 
 
 @pytest.fixture(scope="session")
+def cases() -> Path:
+    """The folder of inputs that people reported elsewhere."""
+    folder = os.environ.get("URSNAV_CASES")
+    if not folder:
+        pytest.skip("URSNAV_CASES does not name the folder of inputs that people reported elsewhere")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
 def phantom() -> Kidney:
     return make_phantom_kidney(0, calyces=6)
 

@@ -25,8 +25,8 @@ def test_byte_order_marks_further_columns_and_blanks_after_commas_are_taken(tmp_
 
 
 def test_rows_know_their_lines_past_blank_lines_and_quoted_line_ends(tmp_path: Path) -> None:
-    rows = read_csv(write(tmp_path, b'a,b\n\n1,"two\nlines"\n,,\n \n3,4\n'), ["a"], "poses")
-    assert [r.line for r in rows] == [3, 7]
+    rows = read_csv(write(tmp_path, b'a,b\n\n1,"two\nlines"\n,\n \n3,4\n,\n,\n'), ["a"], "poses")
+    assert [r.line for r in rows] == [3, 5, 7]
     assert rows[0]["b"] == "two\nlines"
 
 

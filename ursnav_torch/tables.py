@@ -29,7 +29,7 @@ class Row(dict[str, str]):
 def read_csv(path: str | Path, required: Sequence[str], what: str) -> list[Row]:
     """The rows of a CSV file (UTF-8, commas between cells, a header line) with at least the ``required`` columns.
 
-    Blank lines are passed over, and so are cells without a column where they are blank.
+    Blank lines are passed over, and so are blank cells without a column and lines of commas at the end.
 
     Raises:
         InputError: missing, not text, without rows or a required column; a column name that stands twice; a row with
@@ -82,13 +82,18 @@ def numbers(rows: Sequence[Row], columns: Sequence[str]) -> Array:
 
 
 def _lines(path: Path, what: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of every line that is not blank."""
+    """Number and cells of every line; of those without any word, only the ones with commas and others behind them."""
+    blank: list[tuple[int, list[str]]] = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader, line = csv.reader(file, skipinitialspace=True, strict=True), 1
             for cells in reader:
                 if any(cell.strip() for cell in cells):
+                    yield from blank
                     yield line, cells
+                    blank = []
+                elif len(cells) > 1:
+                    blank.append((line, cells))
                 line = reader.line_num + 1
     except FileNotFoundError:
         raise InputError(f"There is no {what} file {path}.") from None

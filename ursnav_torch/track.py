@@ -10,8 +10,10 @@ def main(config: Any) -> int:
     """Instantiate the choices and call `runs.track.track_source`."""
     from hydra.utils import instantiate
 
+    from ursnav_torch.em_log import EmFormat
+    from ursnav_torch.errors import InputError
     from ursnav_torch.registration import recorded_readings
-    from ursnav_torch.runs.sources import open_source
+    from ursnav_torch.runs.sources import open_source, picture_times
     from ursnav_torch.runs.track import camera_source, track_source
     from ursnav_torch.runs.track_files import Besides, read_truth
     from ursnav_torch.tracking.tracker import Tracker
@@ -25,16 +27,25 @@ def main(config: Any) -> int:
         source = camera_source(instantiate(config.device), config.seconds)
     else:
         source = open_source(caller_path(config.source), config.fps)
-    sensor = None
+    sensor, readings = None, ""
     if config.em is not None:
-        to_kidney = None if config.em_to_kidney is None else caller_path(config.em_to_kidney)
-        sensor = recorded_readings(caller_path(config.em), to_kidney, list(config.sensor_offset_mm))
+        if config.source == "camera":
+            raise InputError("em= is the log of a recording; with a camera, `navigate` takes the tracker itself.")
+        sensor, readings = recorded_readings(
+            caller_path(config.em),
+            None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
+            list(config.sensor_offset_mm),
+            *picture_times(caller_path(config.source), config.fps),
+            EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, config.em_join),
+            vid.kidney.mesh.bounds,
+        )
+        readings += "\n"
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
     besides = Besides(out, truth, config.tum, config.overwrite)
     besides.check()
     summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline)
-    print(summary + besides.write())
+    print(readings + summary + besides.write())
     return OK if whole else NOT_DONE
 
 

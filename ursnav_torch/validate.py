@@ -8,6 +8,7 @@ from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, runner
 @runner("validate", paths=("matches", "em", "em_to_kidney", "reference_pairs", "truth"))
 def main(config: Any) -> int:
     """Call `judge_matches` and write its report."""
+    from ursnav_torch.em_log import EmFormat
     from ursnav_torch.files import check_output_file, write_json
     from ursnav_torch.registration import ErrorBudget, Registration
     from ursnav_torch.runs.validate import judge_matches, verdict_report, verdict_summary
@@ -25,6 +26,7 @@ def main(config: Any) -> int:
         truth=None if config.truth is None else caller_path(config.truth),
         budget=ErrorBudget(config.em_mm, config.em_axis_deg, config.match_mm * scale, config.match_axis_deg),
         least_p=config.least_p,
+        form=EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, config.em_join),
     )
     write_json(out, verdict_report(verdicts, scale), config.overwrite)
     print(f"{verdict_summary(verdicts, scale)}\nverdicts in {out}")

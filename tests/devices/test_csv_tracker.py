@@ -38,7 +38,7 @@ def test_samples_come_at_their_own_pace(path):
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("0,1.0,1,2,3,0,0,0\n", "axis dx,dy,dz is zero"),
+        ("0,1.0,1,2,3,0,0,0\n", "axis dx,dy,dz is missing or zero"),
         ("0,1.0,1,x,3,0,0,1\n", "y_mm is 'x'"),
         ("0,1.0,1,2,3,0,0,1\n1,0.5,1,2,3,0,0,1\n", "runs backwards"),
     ],

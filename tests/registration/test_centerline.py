@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks._em import OFFSET_MM, Drive, drive_through
+from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
 from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
-from ursnav_torch.registration import Registration, branch_directions, read_em_samples, register_centerline
+from ursnav_torch.registration import Registration, branch_directions, register_centerline
 from ursnav_torch.tables import read_csv
 from ursnav_torch.vid import poses_from_rows
 

@@ -125,8 +125,15 @@ def test_a_video_and_em_samples(run: Run, vid: Vid, video: Path, tmp_path: Path)
     done = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'a.csv'}")
     assert done.code == 0, done.err
     assert len(read(tmp_path / "a.csv")) == 8
+    assert "8 of 8 pictures have an EM reading (by frame)" in done.out
     refused = run("track", *arguments, f"out={tmp_path / 'b.csv'}")
     assert refused.code == 1 and "em_to_kidney=" in refused.err
+    em.write_text("t_s,x_mm,y_mm,z_mm\n" + "".join(f"{1000 + i / 10},{x},{y},{z}\n" for i in range(8)))
+    refused = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'b.csv'}")
+    assert refused.code == 1 and "0 of 8 pictures" in refused.err and "em_offset_s=" in refused.err
+    registration.write_text(json.dumps({"R": np.eye(3).tolist(), "t_mm": [0, 0, 900]}))
+    refused = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'b.csv'}", "em_offset_s=1000")
+    assert refused.code == 1 and "mm outside the kidney" in refused.err
     assert not (tmp_path / "b.csv").exists()
 
 

@@ -2,7 +2,7 @@
 the verdict of the EM sensor on what image matching says (thesis chapters 4.4-4.5)."""
 
 from ursnav_torch.registration.centerline import branch_directions, register_centerline
-from ursnav_torch.registration.files import EmSamples, Landmarks, join_names, read_em_samples, read_landmarks
+from ursnav_torch.registration.files import Landmarks, read_landmarks
 from ursnav_torch.registration.landmarks import RegistrationWarning, register_landmarks
 from ursnav_torch.registration.readings import readings_in_kidney, recorded_readings
 from ursnav_torch.registration.result import Registration
@@ -22,7 +22,6 @@ from ursnav_torch.registration.validation import (
 __all__ = [
     "Comparison",
     "Confusion",
-    "EmSamples",
     "ErrorBudget",
     "Landmarks",
     "Registration",
@@ -32,10 +31,8 @@ __all__ = [
     "compare_poses",
     "confusion",
     "fit_rigid",
-    "join_names",
     "picked_points",
     "position_threshold",
-    "read_em_samples",
     "read_landmarks",
     "readings_in_kidney",
     "recorded_readings",

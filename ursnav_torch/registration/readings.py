@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ursnav_torch.em_log import EmFormat, join_pictures, read_em_samples
 from ursnav_torch.errors import InputError
-from ursnav_torch.registration.files import read_em_samples
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.tracking.follow import Moment
 from ursnav_torch.tracking.place_search import SensorReading
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 #: Root mean square noise of a 5-DoF sensor, and how far the kidney moves on its own, mm.
 SENSOR_MM, BREATH_MM = 0.7, 0.8
-#: A reading belongs to a picture taken within this time.
-_NEAR_S = 0.25
+#: A scope in the kidney has its sensor no farther than this outside the lumen's bounds, mm.
+_FAR_MM = 100.0
 
 
 def readings_in_kidney(
@@ -50,24 +50,46 @@ def readings_in_kidney(
 
 
 def recorded_readings(
-    em: Path, em_to_kidney: Path | None, offset_camera_mm: Sequence[float]
-) -> Callable[[Moment], SensorReading | None]:
-    """Readings of an EM file, found by the picture's name or number, else by the nearest time.
+    em: Path,
+    em_to_kidney: Path | None,
+    offset_camera_mm: Sequence[float],
+    images: Sequence[str],
+    t_s: ArrayLike,
+    form: EmFormat | None = None,
+    bounds_mm: ArrayLike | None = None,
+) -> tuple[Callable[[Moment], SensorReading | None], str]:
+    """Readings of an EM log for the pictures of a recording, and a line that says how many have one.
+
+    Args:
+        em: the log, see `read_em_samples`.
+        em_to_kidney: the file that `register` made.
+        offset_camera_mm: (3,) the sensor's place in the camera frame.
+        images, t_s: names and times (M,) of the pictures, in their order; see `join_pictures`.
+        form: what the log does not tell.
+        bounds_mm: (2, 3) corners of the kidney.
 
     Raises:
-        InputError: no registration is given, or a file cannot be used.
+        InputError: no registration is given, a file cannot be used, or the readings are nowhere near the kidney.
     """
     if em_to_kidney is None:
         raise InputError("em= needs em_to_kidney=, the registration that `register` makes from landmarks.")
-    to_kidney, samples = readings_in_kidney(em_to_kidney, offset_camera_mm), read_em_samples(em)
-    readings = to_kidney(samples.position_mm)
-    rows = {Path(name).stem.lstrip("0") or "0": i for i, name in enumerate(samples.key or ())}
+    to_kidney = readings_in_kidney(em_to_kidney, offset_camera_mm)
+    joined = join_pictures(read_em_samples(em, form), images, t_s, form)
+    readings = to_kidney(joined.samples.position_mm)
+    if bounds_mm is not None:
+        _check_near(readings, np.asarray(bounds_mm, float), em, em_to_kidney)
 
     def reading(moment: Moment) -> SensorReading | None:
-        row = rows.get(Path(moment.name).stem.lstrip("0") or "0")
-        if row is None and samples.key is None and samples.t_s is not None:
-            near = int(np.nanargmin(np.abs(samples.t_s - moment.t_s)))
-            row = near if abs(samples.t_s[near] - moment.t_s) <= _NEAR_S else None
-        return None if row is None else readings[row]
+        return readings[moment.frame] if moment.frame < len(readings) else None
 
-    return reading
+    return reading, joined.said()
+
+
+def _check_near(readings: list[SensorReading | None], bounds_mm: Array, em: Path, em_to_kidney: Path) -> None:
+    at = np.array([r.position_mm for r in readings if r is not None])
+    away = np.linalg.norm(np.maximum(np.maximum(bounds_mm[0] - at, at - bounds_mm[1]), 0), axis=1)
+    if away.min() > _FAR_MM:
+        raise InputError(
+            f"By {em_to_kidney}, the {len(at)} readings of {em} lie {away.min():.0f} to {away.max():.0f} mm outside "
+            "the kidney: the registration belongs to another EM frame or kidney, or the log to another unit (em_unit=)."
+        )

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.registration.centerline import register_centerline
-from ursnav_torch.registration.files import read_em_samples, read_landmarks
+from ursnav_torch.registration.files import read_landmarks
 from ursnav_torch.registration.landmarks import register_landmarks
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.surface import register_surface

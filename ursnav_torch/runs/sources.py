@@ -24,6 +24,16 @@ def open_source(path: Path, fps: float = 10.0) -> Source:
         return _folder(path, fps)
     if not path.is_file():
         raise InputError(f"There is no video or folder {path}; source= takes one of the two, or camera.")
+    rate, count = _checked_video(path, fps)
+    return Source(lambda: _video(path, rate), max(count, 0), str(path))
+
+
+def _checked_video(path: Path, fps: float) -> tuple[float, int]:
+    """Frames a second and how many the file says it has; ``fps`` where it does not say.
+
+    Raises:
+        InputError: it is no video, or has no frame.
+    """
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():
@@ -36,8 +46,7 @@ def open_source(path: Path, fps: float = 10.0) -> Source:
             raise InputError(f"The video {path} has no frames that can be read (it says it has {max(count, 0)}).")
     finally:
         capture.release()
-    rate = rate if np.isfinite(rate) and 0 < rate < 1000 else fps
-    return Source(lambda: _video(path, rate), max(count, 0), str(path))
+    return (rate if np.isfinite(rate) and 0 < rate < 1000 else fps), count
 
 
 def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | None) -> Source:
@@ -63,25 +72,47 @@ def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | N
     return Source(moments, 0, "the camera", live=True)
 
 
+def picture_times(path: Path, fps: float = 10.0) -> tuple[list[str], NDArray[np.float64]]:
+    """Names and times (M,) in s of all pictures of `open_source`, without taking one apart.
+
+    Raises:
+        InputError: as `open_source` does.
+    """
+    if path.is_dir():
+        names = _names(path)
+        if fps <= 0:
+            raise InputError(f"fps must be above 0, got {fps}.")
+        return names, np.arange(len(names)) / fps
+    if not path.is_file():
+        raise InputError(f"There is no video or folder {path}.")
+    stamps = [stamp for _, stamp, _ in _frames(path, _checked_video(path, fps)[0], pictures=False)]
+    return [str(n) for n in range(len(stamps))], np.array(stamps)
+
+
 def _video(path: Path, rate: float) -> Iterator[Moment]:
+    for number, t_s, image in _frames(path, rate):
+        yield Moment(number, t_s, np.asarray(image, np.uint8), str(number))
+
+
+def _frames(path: Path, rate: float, pictures: bool = True) -> Iterator[tuple[int, float, NDArray[np.uint8] | None]]:
     """Frames with the file's own times where they rise, else evenly spaced."""
     capture, number, t_s = cv2.VideoCapture(str(path)), 0, 0.0
     try:
         while True:
             own = float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3
-            ok, image = capture.read()
+            ok, image = capture.read() if pictures else (capture.grab(), None)
             if not ok:
                 return
             stamp = float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3
             t_s = stamp if number and stamp > t_s + 1e-4 else (t_s + 1 / rate if number else max(own, 0.0))
-            yield Moment(number, t_s, np.asarray(image, np.uint8), str(number))
+            yield number, t_s, image
             number += 1
     finally:
         capture.release()
 
 
 def _folder(path: Path, fps: float) -> Source:
-    names = sorted((p.name for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural_key)
+    names = _names(path)
     if not names:
         raise InputError(f"The folder {path} holds no picture ({', '.join(IMAGE_SUFFIXES)}).")
     if fps <= 0:
@@ -92,3 +123,7 @@ def _folder(path: Path, fps: float) -> Source:
             yield Moment(number, number / fps, read_image(path / name), name)
 
     return Source(moments, len(names), str(path))
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted((p.name for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural_key)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ursnav_torch.columns import POSE_COLUMNS
+from ursnav_torch.em_log import EmFormat, EmJoin, join_names, join_pictures, read_em_samples
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array
-from ursnav_torch.registration.files import EmSamples, join_names, read_em_samples, read_landmarks
+from ursnav_torch.registration.files import read_landmarks
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.validation import (
     Comparison,
@@ -41,6 +42,7 @@ class Verdicts:
         e_cam_mm: (K,) of the reference pairs.
         least_p: a match with a smaller p-value is judged wrong.
         truth: N true calyces, "" where unknown.
+        readings: how many pictures have a reading, for people to read.
     """
 
     images: list[str]
@@ -53,6 +55,7 @@ class Verdicts:
     e_cam_mm: Array
     least_p: float
     truth: list[str]
+    readings: str
 
     @property
     def judged(self) -> BoolArray:
@@ -89,6 +92,7 @@ def judge_matches(
     truth: str | Path | None = None,
     budget: ErrorBudget | None = None,
     least_p: float = 0.01,
+    form: EmFormat | None = None,
 ) -> Verdicts:
     """Judge the rows of a `match` file by EM readings.
 
@@ -106,6 +110,7 @@ def judge_matches(
         truth: CSV with `image,calyx`.
         budget: root mean square errors.
         least_p: smallest p-value of a match that is judged right.
+        form: what the EM file does not tell.
 
     Raises:
         InputError: a file cannot be used, or no match has a reading.
@@ -118,10 +123,10 @@ def judge_matches(
         e_cam = camera_errors(registration, pairs.em_mm, pairs.kidney_mm)
         if sensor_offset_mm is None:
             budget = replace(budget, match_mm=float(np.sqrt(np.mean(e_cam**2))))
-    rows, images, samples, error = _read(Path(matches), em)
+    rows, images, joined, error = _read(Path(matches), em, form)
     usable = np.array([not e for e in error], bool)
     T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok])
-    sensor, axis = samples.position_mm[usable], samples.axis[usable]
+    sensor, axis = joined.samples.position_mm[usable], joined.samples.axis[usable]
     comparison = compare_poses(T, sensor, axis, registration, np.array(sensor_offset_mm or (0.0, 0.0, 0.0)), budget)
     distance = np.full(len(rows), np.nan)
     if len(e_cam):
@@ -141,6 +146,7 @@ def judge_matches(
         e_cam_mm=e_cam,
         least_p=least_p,
         truth=_truth(images, truth),
+        readings=joined.said(),
     )
 
 
@@ -175,6 +181,7 @@ def verdict_summary(verdicts: Verdicts, scale: float) -> str:
     judged = int(verdicts.judged.sum())
     source = "reference pairs" if verdicts.from_pairs else "error budget"
     lines = [
+        verdicts.readings,
         f"{judged} of {len(verdicts.images)} matches judged; right by position and direction "
         f"{int(verdicts.right.sum())}, by position alone {int(verdicts.right_by_position.sum())}",
         f"threshold of the position rule {verdicts.threshold_mm:.2f} mm at scale {scale:g}, from {source}",
@@ -214,7 +221,7 @@ def _image_rows(verdicts: Verdicts) -> list[dict[str, Any]]:
     return rows
 
 
-def _read(matches: Path, em: str | Path) -> tuple[list[Row], list[str], EmSamples, list[str]]:
+def _read(matches: Path, em: str | Path, form: EmFormat | None) -> tuple[list[Row], list[str], EmJoin, list[str]]:
     """Rows, their names, the reading of each, and what is missing in each ("": nothing)."""
     rows = read_csv(matches, ("calyx", *POSE_COLUMNS), "match")
     column = next((name for name in ("image", "frame") if name in rows[0]), None)
@@ -222,12 +229,11 @@ def _read(matches: Path, em: str | Path) -> tuple[list[Row], list[str], EmSample
         raise InputError(f"The match file {matches} lacks a column image (or frame, as `track` writes it).")
     images = [row[column] for row in rows]
     t_s = numbers(rows, ("t_s",))[:, 0] if "t_s" in rows[0] else None
-    samples = read_em_samples(em).for_images(images, t_s)
-    visible = [bool(np.isfinite(position).all()) for position in samples.position_mm]
-    error = [_what_is_missing(row, seen) for row, seen in zip(rows, visible, strict=True)]
+    joined = join_pictures(read_em_samples(em, form), images, t_s, form)
+    error = [_what_is_missing(row, seen) for row, seen in zip(rows, joined.samples.seen, strict=True)]
     if all(error):
         raise InputError(f"None of the {len(rows)} rows of {matches} can be judged; the first: {error[0]}.")
-    return rows, images, samples, error
+    return rows, images, joined, error
 
 
 def _what_is_missing(row: Row, seen: bool) -> str:

@@ -3,14 +3,16 @@
 import time
 from pathlib import Path
 
-from ursnav_torch.columns import EM_COLUMNS
+import numpy as np
+from numpy.typing import NDArray
+
 from ursnav_torch.devices.base import SourceAtEndError, Tracker, TrackerSample, Vector3
+from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import DeviceTimeoutError, InputError
-from ursnav_torch.tables import Row, number, read_csv
 
 
 class CsvTracker(Tracker):
-    """Plays ``frame,t_s,x_mm,y_mm,z_mm,dx,dy,dz``; blank numbers are a sensor that was not seen.
+    """Plays ``frame,t_s,x_mm,y_mm,z_mm,dx,dy,dz``; see `read_em_samples` for what is read besides.
 
     Args:
         path: the file; without ``t_s`` its rows come at ``rate_hz``.
@@ -26,12 +28,19 @@ class CsvTracker(Tracker):
         if speed < 0 or rate_hz <= 0:
             raise InputError(f"speed must be 0 or more and rate_hz positive, got {speed} and {rate_hz}.")
         self.path, self.speed = Path(path), speed
-        rows = read_csv(self.path, EM_COLUMNS, "EM")
-        timed = "t_s" in rows[0]
-        self._times = [number(r, "t_s") if timed else n / rate_hz for n, r in enumerate(rows)]
-        if any(b < a for a, b in zip(self._times[:-1], self._times[1:], strict=True)):
+        samples = read_em_samples(self.path)
+        times = np.arange(len(samples.position_mm)) / rate_hz if samples.t_s is None else samples.t_s
+        if not np.isfinite(times).all():
+            raise InputError(f"{self.path}: t_s is blank in data row {int(np.isnan(times).argmax()) + 1}; fill it.")
+        if np.any(np.diff(times) < 0):
             raise InputError(f"{self.path}: the column t_s runs backwards; sort the rows by time.")
-        self._poses = [_pose(row) for row in rows]
+        if np.isnan(samples.axis[samples.seen]).any():
+            raise InputError(f"{self.path}: the axis dx,dy,dz is missing or zero in rows where the sensor was visible.")
+        self._times: list[float] = times.tolist()
+        self._poses = [
+            (_vector(p), _vector(a)) if seen else None
+            for p, a, seen in zip(samples.position_mm, samples.axis, samples.seen, strict=True)
+        ]
         self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
@@ -57,12 +66,6 @@ class CsvTracker(Tracker):
     def _close(self) -> None: ...
 
 
-def _pose(row: Row) -> tuple[Vector3, Vector3] | None:
-    """Position and axis of a row, None where all of them are blank."""
-    if not any(row[c].strip() for c in EM_COLUMNS):
-        return None
-    x, y, z, *axis = (number(row, c) for c in EM_COLUMNS)
-    length = sum(v * v for v in axis) ** 0.5
-    if length < 1e-6:
-        raise InputError(f"{row.path}, line {row.line}: the axis dx,dy,dz is zero.")
-    return (x, y, z), (axis[0] / length, axis[1] / length, axis[2] / length)
+def _vector(values: NDArray[np.float64]) -> Vector3:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,134 @@
+"""EM logs as trackers and their programs write them: units and clocks are recognized or asked for."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.columns import EM_COLUMNS
+from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
+from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, all_zero, flagged_seen, in_field
+from ursnav_torch.errors import InputError
+from ursnav_torch.tables import Row, number, read_csv
+
+Array = NDArray[np.float64]
+
+#: A sensor that is held still scatters by more than this, mm: a smaller spread is one of meters.
+_SMALLEST_SPREAD_MM = 0.5
+
+
+def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples:
+    """Read ``frame,t_s,x_mm,y_mm,z_mm,dx,dy,dz`` (or ``image`` for ``frame``); all but the position may be missing.
+
+    Read besides: ``x_cm`` and ``x_m``, ``t_ms``, ``t_us``, ``t_ns``; ``Tx,Ty,Tz`` (NDI, mm); ``qx,qy,qz,qw`` (or NDI's
+    ``Q0,Qx,Qy,Qz``), whose z axis is the sensor's; columns such as ``state`` or ``visible``. Blank cells, NaN, numbers
+    beyond any field (-3.697314E28), zeros in position and axis and flags that say so are a sensor that was not visible.
+
+    Raises:
+        InputError: it cannot be read, has no position or row, says nothing of its unit, or says what cannot be.
+    """
+    form = form or EmFormat()
+    rows = read_csv(path, (), "EM")
+    names = {name.lower(): name for name in rows[0]}
+    at, unit = _length_columns(names, Path(path), form)
+    position = _numbers(rows, at) * unit
+    quaternion = _quaternions(rows, names)
+    axis = _axes(rows, names, quaternion)
+    seen = flagged_seen(rows, names) & in_field(position, rows) & ~all_zero(position, axis)
+    position[~seen] = axis[~seen] = np.nan
+    if quaternion is not None:
+        quaternion[~seen] = np.nan
+    _check_spread(position, Path(path), form)
+    key = next((name for name in ("image", "frame") if name in names), None)
+    return EmSamples(
+        position_mm=position,
+        axis=axis,
+        t_s=_times(rows, names, form),
+        key=tuple(row[names[key]].strip() for row in rows) if key else None,
+        key_column=key,
+        quaternion=quaternion,
+        source=str(path),
+    )
+
+
+def _length_columns(names: Mapping[str, str], path: Path, form: EmFormat) -> tuple[list[str], float]:
+    """The position's columns and mm a unit of theirs."""
+    for unit, mm in LENGTH_MM.items():
+        if all(f"{c}_{unit}" in names for c in "xyz"):
+            return [names[f"{c}_{unit}"] for c in "xyz"], LENGTH_MM[form.unit] if form.unit else mm
+    for columns, known in ((("tx", "ty", "tz"), "mm"), (("x", "y", "z"), None)):
+        if all(c in names for c in columns):
+            unit_ = form.unit or known
+            if unit_ is None:
+                raise InputError(
+                    f"The EM file {path} has the columns x,y,z and does not say their unit: set em_unit= to one of "
+                    f"{', '.join(LENGTH_MM)}, or name them x_mm,y_mm,z_mm."
+                )
+            return [names[c] for c in columns], LENGTH_MM[unit_]
+    missing = [c for c in EM_COLUMNS[:3] if c not in names]
+    raise InputError(
+        f"The EM file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(names.values())}."
+    )
+
+
+def _cell(row: Row, column: str) -> float:
+    return np.nan if row[column].strip().lower() in NO_READING else number(row, column)
+
+
+def _numbers(rows: list[Row], columns: list[str]) -> Array:
+    """(N, C) values; NaN where a cell is blank or no number that a tracker means."""
+    values = np.array([[_cell(row, c) for c in columns] for row in rows], float)
+    return np.where(np.abs(values) < NO_NUMBER, values, np.nan)
+
+
+def _quaternions(rows: list[Row], names: Mapping[str, str]) -> Array | None:
+    for order in (("qx", "qy", "qz", "qw"), ("qx", "qy", "qz", "q0")):
+        if all(c in names for c in order):
+            q = _numbers(rows, [names[c] for c in order])
+            length = np.linalg.norm(q, axis=1, keepdims=True)
+            return np.asarray(q / np.where(length > 1e-9, length, np.nan))
+    return None
+
+
+def _axes(rows: list[Row], names: Mapping[str, str], quaternion: Array | None) -> Array:
+    if all(c in names for c in EM_COLUMNS[3:]):
+        axis = _numbers(rows, [names[c] for c in EM_COLUMNS[3:]])
+        length = np.linalg.norm(axis, axis=1, keepdims=True)
+        return np.asarray(axis / np.where(length > 1e-9, length, np.nan))
+    if quaternion is None:
+        return np.full((len(rows), 3), np.nan)
+    x, y, z, w = quaternion.T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+
+def _times(rows: list[Row], names: Mapping[str, str], form: EmFormat) -> Array | None:
+    for unit, seconds in TIME_S.items():
+        if (column := names.get(f"t_{unit}")) is not None:
+            return _clock(rows, column, TIME_S[form.time_unit] if form.time_unit else seconds) - form.offset_s
+    column = next((names[c] for c in ("t", "time", "timestamp") if c in names), None)
+    if column is None:
+        return None
+    if form.time_unit is None:
+        raise InputError(
+            f"{rows[0].path} has a column {column} and does not say its unit: set em_time_unit= to one of "
+            f"{', '.join(TIME_S)}, or name it t_s."
+        )
+    return _clock(rows, column, TIME_S[form.time_unit]) - form.offset_s
+
+
+def _clock(rows: list[Row], column: str, seconds: float) -> Array:
+    t = np.array([_cell(row, column) for row in rows]) * seconds
+    if not np.isfinite(t).any():
+        raise InputError(f"{rows[0].path}: the column {column} is blank in all {len(rows)} rows; delete or fill it.")
+    return t
+
+
+def _check_spread(position: Array, path: Path, form: EmFormat) -> None:
+    seen = position[np.isfinite(position).all(axis=1)]
+    spread = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) >= 10 else 0.0
+    if form.unit is None and 0 < spread < _SMALLEST_SPREAD_MM:
+        raise InputError(
+            f"The {len(seen)} positions of {path} lie within {spread:.2g} mm, closer than a sensor that is held still. "
+            "If they are in meters, say em_unit=m; if they are right, em_unit=mm."
+        )
