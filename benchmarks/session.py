@@ -21,13 +21,13 @@ import numpy as np
 
 from benchmarks._results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.devices import Frame, RobotLight, TrackerSample
+from ursnav_torch.devices import Frame, RobotLight
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.pictures import match_row
-from ursnav_torch.session import Event, Live, Recorder, Replay, Result, Rig, build_rig, run_session
+from ursnav_torch.session import Event, Live, Player, Recorder, Replay, Result, Rig, build_rig, run_session
 from ursnav_torch.simulation import (
     SimulatedGrblRobot,
     SimulatedNdiTracker,
@@ -62,12 +62,12 @@ def main(arguments: list[str]) -> None:
 
 
 def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
-    world, locate = _prepare(settings, folder)
+    world, worker = _prepare(settings, folder)
     memory: list[float] = []
     rows: list[tuple[int, int]] = []
     with _rig(world, settings) as rig, Recorder(folder / "record", settings) as recorder:
         live = Live(rig, duration_s=60 * settings["minutes"])
-        summary = run_session(live, recorder, locate, _watch(memory, rows), keep_results=False)
+        summary = run_session(live, worker, [recorder.write, _watch(memory, rows)])
     for kind, rate in RATES_HZ.items():
         made = summary.counts.get(kind, 0) / summary.seconds
         report.add("session", f"{kind} a second, {rate:g} wanted", "1/s", [made], n=summary.counts.get(kind, 0))
@@ -82,25 +82,44 @@ def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
     again: list[tuple[int, int]] = []
     begun = time.monotonic()
     replay = Replay(folder / "record", speed=0)
-    run_session(replay, None, locate, _watch([], again), keep_results=False)
+    run_session(Player(replay), worker, [_watch([], again)])
     same = sum(a == b for a, b in zip(rows, again, strict=False)) if len(rows) == len(again) else 0
     report.add("replay", "rows that are the same", "%", [100.0 * same / max(len(rows), 1)], n=len(rows))
     report.add("replay", "damaged items", "items", [float(replay.damaged)])
     report.add("replay", "seconds", "s", [time.monotonic() - begun])
 
 
-def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, Callable[..., dict[str, Any]]]:
+def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, "Locating"]:
     """The phantom, what draws it, and what locates its pictures."""
     kidney = make_phantom_kidney(0, calyces=6)
     lens = equidistant_camera(160.0, settings["lens_px"], settings["lens_px"])
     plan = PlanSettings(views_per_calyx=settings["views_per_calyx"], passage_views=settings["views_per_calyx"])
     localizer = Localizer(build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1))
 
-    def locate(frame: Frame, tracker: TrackerSample | None) -> dict[str, Any]:
-        row = match_row(localizer.locate(frame.image))
-        return {name: value for name, value in row.items() if name != "seconds"}
+    return World(kidney, RaycastRenderer(kidney.mesh, lens)), Locating(localizer)
 
-    return World(kidney, RaycastRenderer(kidney.mesh, lens)), locate
+
+class Locating:
+    """A worker that locates every picture at once."""
+
+    def __init__(self, localizer: Localizer) -> None:
+        self._localizer, self._made = localizer, list[Result]()
+
+    def take(self, event: Event) -> None:
+        """Locate a picture; other events are passed over."""
+        if isinstance(event, Frame):
+            row = match_row(self._localizer.locate(event.image))
+            row.pop("seconds")
+            self._made.append(Result(event.stamp, event.stamp.sequence, row))
+
+    def wait(self) -> bool:
+        """Nothing is ever left to do."""
+        return True
+
+    def results(self) -> list[Result]:
+        """The results since the last call."""
+        made, self._made = self._made, []
+        return made
 
 
 def _rig(world: World, settings: dict[str, Any]) -> Rig:
