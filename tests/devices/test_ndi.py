@@ -8,18 +8,19 @@ import time
 
 import pytest
 from dialogue import dialogue
+from fastcrc import crc16
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ursnav_torch.devices import NdiTracker
-from ursnav_torch.devices.trackers.ndi import ToolPose, crc16, message, pack_bx, unpack_bx_body
+from ursnav_torch.devices.trackers.ndi import NdiTool, message, pack_bx, unpack_bx_body
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.simulation.ndi_unit import NdiUnit
 from ursnav_torch.simulation.port import SimulatedPort
 
 OKAY = b"OKAYA896\r"
-SEEN = ToolPose(0x0A, (0.8, 0.0, 0.6, 0.0), (1.5, -2.0, -300.25), 0.125, 7)
-HIDDEN = ToolPose(0x0A, None, None, math.nan, 8)
+SEEN = NdiTool(0x0A, (0.8, 0.0, 0.6, 0.0), (1.5, -2.0, -300.25), 0.125, 7)
+HIDDEN = NdiTool(0x0A, None, None, math.nan, 8)
 START = [
     (b"INIT:E3A5\r", OKAY),
     (b"COMM:500000048\r", OKAY),
@@ -38,7 +39,7 @@ BX, STOP = b"BX:080100EC\r", (b"TSTOP:2C14\r", OKAY)
 )
 def test_convention_checksums_are_ndis(text):
     assert message(text[:-4]) == text.encode() + b"\r"
-    assert crc16(b"123456789") == 0xBB3D
+    assert crc16.arc(b"123456789") == 0xBB3D
 
 
 def test_start_read_and_stop_say_exactly_these_bytes():
@@ -128,14 +129,14 @@ floats = st.floats(-1000, 1000, width=32)
 
 
 numbers = st.integers(0, 2**32 - 1)
-poses = st.builds(ToolPose, st.integers(0, 255), st.tuples(*[floats] * 4), st.tuples(*[floats] * 3), floats, numbers)
+poses = st.builds(NdiTool, st.integers(0, 255), st.tuples(*[floats] * 4), st.tuples(*[floats] * 3), floats, numbers)
 
 
 @given(st.lists(poses, max_size=4))
 def test_poses_round_trip(tools):
     raw = pack_bx(tools)
     length, head_crc = struct.unpack("<HH", raw[2:6])
-    assert head_crc == crc16(raw[:4])
+    assert head_crc == crc16.arc(raw[:4])
     assert len(raw) == 6 + length + 2
     assert unpack_bx_body(raw[6:-2]) == tools
 

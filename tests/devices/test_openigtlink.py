@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from dialogue import wait_until
+from fastcrc import crc64
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.devices import OpenIgtlServer, OpenIgtlTracker, SlicerOutput
@@ -17,9 +18,7 @@ from ursnav_torch.devices.igtl.messages import (
     TOOL_6D,
     Header,
     Message,
-    ToolPose,
-    crc64,
-    encode,
+    pack_message,
     pack_tracking_data,
     pack_transform,
     unpack_position,
@@ -37,8 +36,13 @@ T = transform_from(R, [1.5, -20.0, 300.0])
 CONTENT = pack_transform(T)
 
 
+def assert_pose(pose):
+    assert pose.position_mm == pytest.approx(T[:3, 3].tolist(), abs=1e-4)
+    np.testing.assert_allclose(Rotation.from_quat(pose.quaternion_xyzw).as_matrix(), R, atol=1e-6)
+
+
 def raw(kind="TRANSFORM", device="Scope", content=CONTENT):
-    return encode(Message(kind, device, content, 1234.5))
+    return pack_message(Message(kind, device, content, 1234.5))
 
 
 @contextlib.contextmanager
@@ -68,7 +72,7 @@ def server(*chunks, hold_s=1.0):
 
 
 def test_convention_checksum_header_and_order_are_the_protocols():
-    assert crc64(b"123456789") == 0x6C40DF5F0B497347
+    assert crc64.ecma_182(b"123456789") == 0x6C40DF5F0B497347
     assert HEADER.size == 58
     assert raw()[:2] == b"\0\1" and raw()[2:11] == b"TRANSFORM" and raw()[14:19] == b"Scope"
     columns = np.frombuffer(pack_transform(T), ">f4")
@@ -80,11 +84,11 @@ def test_convention_checksum_header_and_order_are_the_protocols():
 def test_messages_round_trip():
     message = Header.unpack(raw()[:58]).message(raw()[58:])
     assert (message.kind, message.device, message.t_s) == ("TRANSFORM", "Scope", 1234.5)
-    np.testing.assert_allclose(unpack_transform(message.content), T, atol=1e-4)
-    tools = [ToolPose("Scope", TOOL_5D, T), ToolPose("Probe", TOOL_6D, np.eye(4))]
+    assert_pose(unpack_transform(message.content))
+    tools = [("Scope", TOOL_5D, T), ("Probe", TOOL_6D, np.eye(4))]
     back = unpack_tracking_data("TDATA", pack_tracking_data(tools))
     assert [(t.name, t.kind) for t in back] == [("Scope", TOOL_5D), ("Probe", TOOL_6D)]
-    np.testing.assert_allclose(back[0].T_em_sensor, T, atol=1e-4)
+    assert_pose(back[0].pose)
 
 
 def test_both_implementations_say_the_same_bytes():
@@ -95,9 +99,9 @@ def test_both_implementations_say_the_same_bytes():
 
 def test_a_position_is_a_point_and_a_quaternion_x_y_z_w():
     values = np.array([1.5, -20.0, 300.0, 0.0, 0.6, 0.0, 0.8], ">f4")
-    T_position = unpack_position(values.tobytes())
-    np.testing.assert_allclose(T_position[:3, 3], [1.5, -20, 300])
-    np.testing.assert_allclose(T_position[:3, 2], [0.96, 0.0, 0.28], atol=1e-6)
+    pose = unpack_position(values.tobytes())
+    assert pose.position_mm == (1.5, -20, 300)
+    assert pose.axis == pytest.approx((0.96, 0.0, 0.28), abs=1e-6)
 
 
 def test_a_version_2_message_of_pyigtl_is_understood_with_its_metadata():
@@ -107,7 +111,7 @@ def test_a_version_2_message_of_pyigtl_is_understood_with_its_metadata():
     bytes_ = message.pack()
     back = Header.unpack(bytes_[:58]).message(bytes_[58:])
     assert back.metadata == {"ScopeTransformStatus": "MISSING"}
-    np.testing.assert_allclose(unpack_transform(back.content), T, atol=1e-4)
+    assert_pose(unpack_transform(back.content))
     with server(bytes_) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
         assert not tracker.read().visible
 
@@ -123,7 +127,7 @@ def test_only_our_tool_is_read_whatever_else_comes_and_however_it_is_cut():
 
 
 def test_a_5_dof_tool_has_no_roll_and_one_that_is_left_out_is_not_visible():
-    seen = raw("TDATA", "Tracker", pack_tracking_data([ToolPose("Scope", TOOL_5D, T)]))
+    seen = raw("TDATA", "Tracker", pack_tracking_data([("Scope", TOOL_5D, T)]))
     with server(seen, raw("TDATA", "Tracker", b"")) as (port, _), OpenIgtlTracker("Scope", port=port, dof=6) as tracker:
         sample, hidden = tracker.read(), tracker.read()
     assert (sample.visible, sample.dof, sample.quaternion_xyzw) == (True, 5, None)
@@ -214,3 +218,17 @@ def test_clients_that_leave_or_do_not_read_hold_nobody_up():
             begun = time.monotonic()
             assert any(sender.send_pose(T) == 0 for _ in range(200_000))  # its buffers are full: dropped
             assert time.monotonic() - begun < 20
+
+
+def test_a_tool_that_is_not_seen_for_a_moment_costs_one_sample():
+    hidden = raw(content=bytes(48))
+    with server(raw(), hidden, raw()) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
+        assert [tracker.read().visible for _ in range(3)] == [True, False, True]
+
+
+def test_names_that_are_heard_are_remembered_within_bounds():
+    others = b"".join(raw(device=f"tool {n}") for n in range(200))
+    with server(others) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
+        with pytest.raises(DeviceTimeoutError, match="heard of"):
+            tracker.read(timeout_s=0.5)
+        assert len(tracker._heard) <= 30

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from ursnav_torch.devices.igtl.messages import TOOL_5D, Message, ToolPose, pack_tracking_data
+from ursnav_torch.devices.igtl.messages import TOOL_5D, Message, pack_tracking_data
 from ursnav_torch.devices.igtl.server import OpenIgtlServer
 from ursnav_torch.geometry import transform_from_quaternion
 from ursnav_torch.simulation.ndi_unit import SensorReading
@@ -57,13 +57,10 @@ class SimulatedIgtlTracker:
             due += 1 / self._rate_hz
             reading = self._sensor()
             if self._subscribers:
-                tools = [] if reading is None else [self._tool(reading)]
+                tools = [] if reading is None else [(self.device, TOOL_5D, transform_from_quaternion(*reading))]
                 message = Message("TDATA", "Tracker", pack_tracking_data(tools), time.time())
                 for client in list(self._subscribers):
                     if not self.server.send(message, client):
                         self._subscribers.discard(client)
             elif reading is not None:
-                self.server.send_pose(self._tool(reading).T_em_sensor, self.device)
-
-    def _tool(self, reading: tuple[tuple[float, ...], tuple[float, ...]]) -> ToolPose:
-        return ToolPose(self.device, TOOL_5D, transform_from_quaternion(*reading))
+                self.server.send_pose(transform_from_quaternion(*reading), self.device)

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from ursnav_torch.devices.trackers.ndi import ToolPose, message, pack_bx
+from ursnav_torch.devices.trackers.ndi import NdiTool, message, pack_bx
 
 #: A sensor's position in mm and quaternion x y z w in the EM frame, or None while it is not seen.
 SensorReading = tuple[tuple[float, float, float], tuple[float, float, float, float]] | None
@@ -36,7 +36,7 @@ class NdiUnit:
         self._line = bytearray()
         self._frame = -1
         self._start_s = clock()
-        self._pose = ToolPose(self.HANDLE, None, None, 0.0, 0)
+        self._pose = NdiTool(self.HANDLE, None, None, 0.0, 0)
         self._initialized = self._enabled = self._tracking = False
 
     def reset(self) -> bytes:
@@ -55,7 +55,7 @@ class NdiUnit:
                 self._line.append(value)
                 continue
             raw, self._line = bytes(self._line), bytearray()
-            command = raw[:-4].decode("ascii", "replace")
+            command = raw[:-4].decode("latin-1")
             answer += self._command(command) if message(command) == raw + b"\r" else message("ERROR04")
         return answer
 
@@ -86,15 +86,15 @@ class NdiUnit:
             return "ERROR01"
         return "OKAY"
 
-    def _current(self) -> ToolPose:
+    def _current(self) -> NdiTool:
         """The pose of the present frame; a frame keeps its pose however often it is asked for."""
         frame = int((self._clock() - self._start_s) * self._rate_hz)
         if frame != self._frame:
             self._frame = frame
             reading = self._sensor() if self._enabled else None
             if reading is None:
-                self._pose = ToolPose(self.HANDLE, None, None, 0.0, frame)
+                self._pose = NdiTool(self.HANDLE, None, None, 0.0, frame)
             else:
                 position, (x, y, z, w) = reading
-                self._pose = ToolPose(self.HANDLE, (w, x, y, z), position, 0.1, frame)
+                self._pose = NdiTool(self.HANDLE, (w, x, y, z), position, 0.1, frame)
         return self._pose

@@ -9,37 +9,17 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
+from fastcrc import crc64
 from numpy.typing import ArrayLike
 
+from ursnav_torch.devices.wire import SensorPose
 from ursnav_torch.errors import DeviceProtocolError
-from ursnav_torch.geometry import Array, transform_from, transform_from_quaternion
+from ursnav_torch.geometry import Array
 
 HEADER = struct.Struct(">H12s20sQQQ")
-POLYNOMIAL = 0x42F0E1EBA9EA3693
 LARGEST_BODY = 64 * 1024 * 1024
 #: Kinds of tool in tracking data: a 5-DoF tool does not know its roll.
 TOOL_TRACKER, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4
-
-
-def _table() -> list[int]:
-    table = []
-    for value in range(256):
-        crc = value << 56
-        for _ in range(8):
-            crc = (crc << 1 ^ POLYNOMIAL if crc >> 63 else crc << 1) & 0xFFFFFFFFFFFFFFFF
-        table.append(crc)
-    return table
-
-
-_CRC_TABLE = _table()
-
-
-def crc64(data: bytes) -> int:
-    """CRC-64/ECMA-182 of ``data``; 0x6C40DF5F0B497347 for ``123456789``."""
-    crc = 0
-    for value in data:
-        crc = _CRC_TABLE[(crc >> 56) ^ value] ^ (crc << 8) & 0xFFFFFFFFFFFFFFFF
-    return crc
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +34,12 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class ToolPose:
-    """A tool in tracking data; ``T_em_sensor`` (4, 4)."""
+class TrackedTool:
+    """A tool in tracking data; ``pose`` is None where it is not seen."""
 
     name: str
     kind: int
-    T_em_sensor: Array
+    pose: SensorPose | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +75,7 @@ class Header:
         Raises:
             DeviceProtocolError: the checksum is wrong or the extended header does not fit.
         """
-        if crc64(body) != self.crc:
+        if crc64.ecma_182(body) != self.crc:
             raise DeviceProtocolError(f"OpenIGTLink: wrong checksum of a {self.kind} from {self.device!r}.")
         if self.version == 1:
             return Message(self.kind, self.device, body, self.t_s)
@@ -119,7 +99,7 @@ def _metadata(head: bytes, body: bytes) -> dict[str, str]:
     return found
 
 
-def encode(message: Message) -> bytes:
+def pack_message(message: Message) -> bytes:
     """The bytes of a message with a version-1 header, which every receiver understands."""
     head = HEADER.pack(
         1,
@@ -127,7 +107,7 @@ def encode(message: Message) -> bytes:
         message.device.encode("ascii"),
         int(message.t_s * 2**32),
         len(message.content),
-        crc64(message.content),
+        crc64.ecma_182(message.content),
     )
     return head + message.content
 
@@ -138,39 +118,39 @@ def pack_transform(T: ArrayLike) -> bytes:
     return np.concatenate([T[:3, :3].T.ravel(), T[:3, 3]]).astype(">f4").tobytes()
 
 
-def unpack_transform(content: bytes) -> Array:
-    """Transform (4, 4) of a TRANSFORM's content.
+def unpack_transform(content: bytes) -> SensorPose | None:
+    """The pose in a TRANSFORM's content, None where the tool is not seen.
 
     Raises:
-        DeviceProtocolError: it has another length than 48 bytes.
+        DeviceProtocolError: it has another length than 48 bytes, or its numbers are no pose.
     """
     if len(content) != 48:
         raise DeviceProtocolError(f"OpenIGTLink: a TRANSFORM has 48 bytes, got {len(content)}.")
     values = np.frombuffer(content, ">f4").astype(float)
-    return transform_from(values[:9].reshape(3, 3).T, values[9:])
+    return SensorPose.from_matrix(values[:9].reshape(3, 3).T, values[9:])
 
 
-def unpack_position(content: bytes) -> Array:
-    """Transform (4, 4) of a POSITION's content: x y z, then a quaternion x y z w.
+def unpack_position(content: bytes) -> SensorPose | None:
+    """The pose in a POSITION's content, x y z, then a quaternion x y z w; None where the tool is not seen.
 
     Raises:
-        DeviceProtocolError: it has another length than 28 bytes.
+        DeviceProtocolError: it has another length than 28 bytes, or its numbers are no pose.
     """
     if len(content) != 28:
         raise DeviceProtocolError(f"OpenIGTLink: a POSITION has 28 bytes, got {len(content)}.")
     values = np.frombuffer(content, ">f4").astype(float)
-    return transform_from_quaternion(values[:3], values[3:])
+    return SensorPose.from_quaternion(values[3:], values[:3])
 
 
-def pack_tracking_data(tools: list[ToolPose]) -> bytes:
-    """Content of a TDATA; tools that are not seen are left out."""
+def pack_tracking_data(tools: list[tuple[str, int, Array]]) -> bytes:
+    """Content of a TDATA of tools: name, kind, ``T_em_sensor`` (4, 4); those not seen are left out."""
     return b"".join(
-        struct.pack(">20sBB", tool.name.encode("ascii"), tool.kind, 0) + pack_transform(tool.T_em_sensor)
-        for tool in tools
+        struct.pack(">20sBB", name.encode("ascii"), kind, 0) + pack_transform(T_em_sensor)
+        for name, kind, T_em_sensor in tools
     )
 
 
-def unpack_tracking_data(kind: str, content: bytes) -> list[ToolPose]:
+def unpack_tracking_data(kind: str, content: bytes) -> list[TrackedTool]:
     """The tools of a TDATA (matrices) or QTDATA (quaternions).
 
     Raises:
@@ -184,6 +164,6 @@ def unpack_tracking_data(kind: str, content: bytes) -> list[ToolPose]:
     for at in range(0, len(content), size):
         name, tool_kind, _ = struct.unpack_from(">20sBB", content, at)
         tools.append(
-            ToolPose(name.rstrip(b"\0").decode("ascii", "replace"), tool_kind, unpack(content[at + 22 : at + size]))
+            TrackedTool(name.rstrip(b"\0").decode("ascii", "replace"), tool_kind, unpack(content[at + 22 : at + size]))
         )
     return tools

@@ -15,7 +15,7 @@ from ursnav_torch.devices.igtl.messages import (
     HEADER,
     Header,
     Message,
-    encode,
+    pack_message,
     pack_transform,
 )
 from ursnav_torch.errors import DeviceError, DeviceNotConnectedError
@@ -67,7 +67,7 @@ class OpenIgtlServer:
 
     def send(self, message: Message, only: socket.socket | None = None) -> int:
         """Send a message to all clients, or only to one; returns how many got it."""
-        raw, reached = encode(message), 0
+        raw, reached = pack_message(message), 0
         with self._lock:
             for client in [only] if only else list(self._clients):
                 try:

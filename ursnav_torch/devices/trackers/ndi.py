@@ -7,14 +7,16 @@ thread runs, the robot's watchdog included; for its Polaris and Vega support see
 """
 
 import math
+import re
 import struct
 import time
 from dataclasses import dataclass
 
-from scipy.spatial.transform import Rotation
+from fastcrc import crc16
 
 from ursnav_torch.devices.base import Tracker, TrackerSample
 from ursnav_torch.devices.serial_link import SerialLink
+from ursnav_torch.devices.wire import SensorPose, Tool
 from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutError, InputError
 
 BX_START = b"\xc4\xa5"
@@ -29,24 +31,14 @@ ERRORS = {
 }
 
 
-def crc16(data: bytes) -> int:
-    """CRC-16/ARC of ``data``; 0xBB3D for ``123456789``."""
-    crc = 0
-    for value in data:
-        crc ^= value
-        for _ in range(8):
-            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
 def message(text: str) -> bytes:
     """A command or text answer with its CRC and carriage return: ``INIT:`` becomes ``INIT:E3A5\\r``."""
-    raw = text.encode("ascii")
-    return raw + f"{crc16(raw):04X}\r".encode("ascii")
+    raw = text.encode("latin-1", "replace")
+    return raw + f"{crc16.arc(raw):04X}\r".encode("ascii")
 
 
 @dataclass(frozen=True, slots=True)
-class ToolPose:
+class NdiTool:
     """One tool in a BX answer; quaternion in NDI's order w x y z, None unless the tool is seen."""
 
     handle: int
@@ -56,7 +48,7 @@ class ToolPose:
     frame: int
 
 
-def pack_bx(tools: list[ToolPose], system_status: int = 0) -> bytes:
+def pack_bx(tools: list[NdiTool], system_status: int = 0) -> bytes:
     """The answer to ``BX:0801`` that reports ``tools``."""
     body = bytes([len(tools)])
     for tool in tools:
@@ -67,10 +59,10 @@ def pack_bx(tools: list[ToolPose], system_status: int = 0) -> bytes:
             body += struct.pack("<BB8fII", tool.handle, VALID, *pose, 0x31, tool.frame)
     body += struct.pack("<H", system_status)
     head = BX_START + struct.pack("<H", len(body))
-    return head + struct.pack("<H", crc16(head)) + body + struct.pack("<H", crc16(body))
+    return head + struct.pack("<H", crc16.arc(head)) + body + struct.pack("<H", crc16.arc(body))
 
 
-def unpack_bx_body(body: bytes) -> list[ToolPose]:
+def unpack_bx_body(body: bytes) -> list[NdiTool]:
     """The tools in the body of a BX answer, without its header and CRC.
 
     Raises:
@@ -90,7 +82,7 @@ def unpack_bx_body(body: bytes) -> list[ToolPose]:
                 _, frame = struct.unpack_from("<II", body, at)
                 at += 8
             q, t = (pose[:4], pose[4:7]) if pose else (None, None)
-            tools.append(ToolPose(handle, q, t, pose[7] if pose else math.nan, frame))  # type: ignore[arg-type]
+            tools.append(NdiTool(handle, q, t, pose[7] if pose else math.nan, frame))  # type: ignore[arg-type]
     except (struct.error, IndexError) as error:
         raise DeviceProtocolError(f"NDI: BX answer is cut short ({error}).") from error
     if at + 2 != len(body):
@@ -135,7 +127,7 @@ class NdiTracker(Tracker):
                 raise DeviceTimeoutError(f"{self.port}: the tracker repeats frame {pose.frame}; is it tracking?")
             time.sleep(0.1 / self.rate_hz)
 
-    def _poll(self, deadline: float) -> ToolPose:
+    def _poll(self, deadline: float) -> NdiTool:
         """Ask once for all poses and pick ours."""
         self._port().write(message("BX:0801"))
         for pose in unpack_bx_body(self._read_bx(deadline)):
@@ -150,32 +142,21 @@ class NdiTracker(Tracker):
             raise DeviceProtocolError(f"{self.port}: {_explain(start + rest)}")
         head = start + self._port().read_exactly(4, deadline - time.monotonic())
         length, head_crc = struct.unpack("<HH", head[2:])
-        if crc16(head[:4]) != head_crc or length > 4096:
+        if crc16.arc(head[:4]) != head_crc or length > 4096:
             self._port().discard_input()
             raise DeviceProtocolError(f"{self.port}: wrong CRC of a BX header; check cable and baud rate.")
         body = self._port().read_exactly(length, deadline - time.monotonic())
         (crc,) = struct.unpack("<H", self._port().read_exactly(2, deadline - time.monotonic()))
-        if crc16(body) != crc:
+        if crc16.arc(body) != crc:
             raise DeviceProtocolError(f"{self.port}: wrong CRC of a BX answer; check cable and baud rate.")
         return body
 
-    def _sample(self, pose: ToolPose) -> TrackerSample:
-        stamp, name = self._stamp(), f"{self.tool}"
-        if pose.quaternion_wxyz is None or pose.position_mm is None:
-            return TrackerSample(stamp, False, dof=self.dof, tool=name, source_frame=pose.frame)
-        w, x, y, z = pose.quaternion_wxyz
-        axis = Rotation.from_quat([x, y, z, w]).apply([0.0, 0.0, 1.0]).tolist()
-        return TrackerSample(
-            stamp,
-            True,
-            pose.position_mm,
-            (axis[0], axis[1], axis[2]),
-            (x, y, z, w) if self.dof == 6 else None,
-            self.dof,
-            name,
-            pose.frame,
-            pose.error_mm,
-        )
+    def _sample(self, tool: NdiTool) -> TrackerSample:
+        pose = None
+        if tool.quaternion_wxyz is not None and tool.position_mm is not None:
+            w, x, y, z = tool.quaternion_wxyz
+            pose = SensorPose.from_quaternion([x, y, z, w], tool.position_mm)
+        return Tool(str(self.tool), self.dof).sample(self._stamp(), pose, tool.frame, tool.error_mm)
 
     def _open(self) -> None:
         self._link = SerialLink(self.port, 9600)
@@ -217,16 +198,16 @@ class NdiTracker(Tracker):
     def _handles(self, kind: str) -> list[str]:
         """Port handles to free (01), to initialize (02) or to enable (03), as two hex digits each."""
         answer = self._ask(f"PHSR:{kind}")
-        count = int(answer[:2], 16) if answer[:2].isalnum() else -1
-        if len(answer) != 2 + 5 * count:
+        if not re.fullmatch(r"[0-9A-F]{2}([0-9A-F]{5})*", answer) or len(answer) != 2 + 5 * int(answer[:2], 16):
             raise DeviceProtocolError(f"{self.port}: unreadable list of tools {answer!r}.")
+        count = int(answer[:2], 16)
         return [answer[2 + 5 * n : 4 + 5 * n] for n in range(count)]
 
     def _ask(self, command: str, timeout_s: float | None = None) -> str:
         """Send a command and return its text answer, CRC checked and cut off."""
         self._port().write(message(command))
         raw = self._port().read_until(b"\r", self.deadline_s if timeout_s is None else timeout_s)
-        text = raw[:-4].decode("ascii", "replace")
+        text = raw[:-4].decode("latin-1")
         if message(text) != raw + b"\r" or text.startswith(("ERROR", "RESET")):
             raise DeviceProtocolError(f"{self.port}: {_explain(raw)} Asked: {command!r}.")
         return text
@@ -253,7 +234,7 @@ class NdiTracker(Tracker):
 
 def _explain(raw: bytes) -> str:
     """What is wrong with an answer that is not the one hoped for."""
-    text = raw[:-4].decode("ascii", "replace")
+    text = raw[:-4].decode("latin-1")
     if message(text) != raw + b"\r":
         return f"wrong CRC of the answer {raw!r}; check cable and baud rate."
     if text == "RESET":

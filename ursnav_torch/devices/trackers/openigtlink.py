@@ -10,13 +10,16 @@ from ursnav_torch.devices.igtl.messages import (
     TOOL_5D,
     Header,
     Message,
-    encode,
+    pack_message,
     unpack_position,
     unpack_tracking_data,
     unpack_transform,
 )
+from ursnav_torch.devices.wire import SensorPose, Tool
 from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
-from ursnav_torch.geometry import Array, quaternion_from_transform
+
+#: Names heard that are remembered.
+MOST_NAMES = 30
 
 
 class OpenIgtlTracker(Tracker):
@@ -71,37 +74,27 @@ class OpenIgtlTracker(Tracker):
         """The message as a sample, or None when it is not about our tool."""
         if message.kind in ("TDATA", "QTDATA"):
             tools = unpack_tracking_data(message.kind, message.content)
-            self._heard |= {tool.name for tool in tools}
             for tool in tools:
+                self._hear(tool.name)
                 if tool.name == self.device:
-                    return self._seen(tool.T_em_sensor, 5 if tool.kind == TOOL_5D else self.dof)
-            return self._unseen()
-        self._heard.add(message.device)
+                    return self._sampled(tool.pose, 5 if tool.kind == TOOL_5D else self.dof)
+            return self._sampled(None, self.dof)
+        self._hear(message.device)
         if message.device != self.device or message.kind not in ("TRANSFORM", "POSITION"):
             return None
         if any(k.endswith("Status") and v != "OK" for k, v in message.metadata.items()):  # as PLUS marks it
-            return self._unseen()
+            return self._sampled(None, self.dof)
         unpack = unpack_transform if message.kind == "TRANSFORM" else unpack_position
-        return self._seen(unpack(message.content), self.dof)
+        return self._sampled(unpack(message.content), self.dof)
 
-    def _seen(self, T_em_sensor: Array, dof: int) -> TrackerSample:
-        position, axis = T_em_sensor[:3, 3].tolist(), T_em_sensor[:3, 2].tolist()
-        x, y, z, w = quaternion_from_transform(T_em_sensor).tolist()
-        self._count += 1
-        return TrackerSample(
-            self._stamp(),
-            True,
-            (position[0], position[1], position[2]),
-            (axis[0], axis[1], axis[2]),
-            (x, y, z, w) if dof == 6 else None,
-            dof,
-            self.device,
-            self._count,
-        )
+    def _hear(self, name: str) -> None:
+        """Remember a name for the message that says none was right; a server may send any number of them."""
+        if len(self._heard) < MOST_NAMES:
+            self._heard.add(name)
 
-    def _unseen(self) -> TrackerSample:
+    def _sampled(self, pose: SensorPose | None, dof: int) -> TrackerSample:
         self._count += 1
-        return TrackerSample(self._stamp(), False, dof=self.dof, tool=self.device, source_frame=self._count)
+        return Tool(self.device, dof).sample(self._stamp(), pose, self._count)
 
     def _receive(self, deadline: float) -> Message:
         self._fill(HEADER.size, deadline)
@@ -141,14 +134,14 @@ class OpenIgtlTracker(Tracker):
             ) from error
         if self.subscribe_ms:
             content = struct.pack(">I32s", self.subscribe_ms, b"")
-            self._socket.sendall(encode(Message("STT_TDATA", "", content, time.time())))
+            self._socket.sendall(pack_message(Message("STT_TDATA", "", content, time.time())))
 
     def _close(self) -> None:
         if self._socket is None:
             return
         try:
             if self.subscribe_ms:
-                self._socket.sendall(encode(Message("STP_TDATA", "", b"", time.time())))
+                self._socket.sendall(pack_message(Message("STP_TDATA", "", b"", time.time())))
         except (OSError, DeviceError):
             pass
         finally:

@@ -13,9 +13,8 @@ from queue import Empty, Queue
 from threading import Thread
 from typing import Any
 
-from scipy.spatial.transform import Rotation
-
 from ursnav_torch.devices.base import Tracker, TrackerSample
+from ursnav_torch.devices.wire import SensorPose, Tool
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.extras import import_extra
 
@@ -48,22 +47,11 @@ class SurgeryNdiTracker(Tracker):
         return self._sample(json.loads(self._line(timeout_s)))
 
     def _sample(self, row: dict[str, Any]) -> TrackerSample:
-        stamp, frame, name = self._stamp(), int(row["frame"]), str(self.tool)
-        if row["pose"] is None:
-            return TrackerSample(stamp, False, dof=self.dof, tool=name, source_frame=frame)
-        w, x, y, z, *position = row["pose"]
-        axis = Rotation.from_quat([x, y, z, w]).apply([0.0, 0.0, 1.0]).tolist()
-        return TrackerSample(
-            stamp,
-            True,
-            (position[0], position[1], position[2]),
-            (axis[0], axis[1], axis[2]),
-            (x, y, z, w) if self.dof == 6 else None,
-            self.dof,
-            name,
-            frame,
-            row["error_mm"],
-        )
+        pose = None
+        if row["pose"] is not None:
+            w, x, y, z, *position = row["pose"]
+            pose = SensorPose.from_quaternion([x, y, z, w], position)
+        return Tool(str(self.tool), self.dof).sample(self._stamp(), pose, int(row["frame"]), row["error_mm"])
 
     def _line(self, timeout_s: float) -> str:
         try:
