@@ -1,6 +1,7 @@
 """Results that are whole or absent: work lies in ``NAME.partial`` and gets its name in one rename; and progress."""
 
 import csv
+import errno
 import json
 import os
 import re
@@ -10,10 +11,25 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.locks import locked, partial_path
 
 #: ``progress(total, what)`` gives a context with ``advance(n)``: how long work says how far it is.
 Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
+
+
+_FREE = "Free some space, then give the same command again; what is finished is kept."
+_ELSEWHERE = "Choose another out=, or see to the folder's permissions."
+#: What to do about what a disk refuses.
+_DISK = {
+    errno.ENOSPC: _FREE,
+    errno.EDQUOT: _FREE,
+    errno.EFBIG: _FREE,
+    errno.EROFS: _ELSEWHERE,
+    errno.EACCES: _ELSEWHERE,
+    errno.EPERM: _ELSEWHERE,
+    errno.EIO: "The disk is damaged or was taken away; choose another out=.",
+}
 
 
 @contextmanager
@@ -22,17 +38,12 @@ def no_progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
     yield lambda n: None
 
 
-def partial_path(path: Path) -> Path:
-    """Where work in progress on ``path`` lies: beside it, so that the last step is one rename."""
-    return path.with_name(path.name + ".partial")
-
-
 def check_output(path: Path, overwrite: bool) -> None:
-    """Refuse to replace a result.
+    """Refuse to replace a result, or to write where nothing can be written.
 
     Raises:
         InputError: ``path`` exists (an empty folder is fine) and ``overwrite`` is false, or its folder is missing
-            and cannot be made.
+            and cannot be made, or cannot be written to.
     """
     if path.exists() and not overwrite and not _is_empty_folder(path):
         raise InputError(f"{path} exists already. Choose another out=, or add overwrite=true to replace it.")
@@ -40,6 +51,11 @@ def check_output(path: Path, overwrite: bool) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {path.parent} for the result cannot be made: {error.strerror}.") from None
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(
+            f"The folder {path.parent} for the result cannot be written to: it is read-only or another user's. "
+            "Choose another out=."
+        )
 
 
 def check_output_file(path: Path, overwrite: bool) -> None:
@@ -54,30 +70,111 @@ def check_output_file(path: Path, overwrite: bool) -> None:
 
 
 def commit(partial: Path, path: Path) -> None:
-    """Give finished work its name; a folder that stood there goes first to ``NAME.old`` and is then removed."""
+    """Give finished work its name; a folder that stood there is first moved aside and then removed."""
     if path.is_file() and partial.is_dir():
         path.unlink()
     if path.is_dir() and partial.is_dir():
-        old = path.with_name(path.name + ".old")
-        shutil.rmtree(old, ignore_errors=True)
-        os.rename(path, old)
+        aside = path.with_name(path.name + ".partial.old")
+        shutil.rmtree(aside, ignore_errors=True)
+        os.rename(path, aside)
         os.rename(partial, path)
-        shutil.rmtree(old)
+        shutil.rmtree(aside)
     else:
         os.replace(partial, path)
+        shutil.rmtree(path.with_name(path.name + ".partial.old"), ignore_errors=True)  # of one killed in between
 
 
 @contextmanager
 def whole_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a path to write to; it becomes ``path`` only when the block ends without an error."""
+    """Yield a path to write to; it becomes ``path`` only when the block ends without an error.
+
+    Raises:
+        InputError: see `check_output_file`; another process writes it; the disk is full or read-only.
+    """
     check_output_file(path, overwrite)
-    partial = partial_path(path)
+    with disk_errors(path), locked(path):
+        check_output_file(path, overwrite)
+        partial = partial_path(path)
+        try:
+            yield partial
+            commit(partial, path)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def whole_folder(path: Path, overwrite: bool = False, resume: bool = False) -> Iterator[Path]:
+    """Yield a folder to write to; it becomes ``path`` only when the block ends without an error.
+
+    Args:
+        path: the folder to be made.
+        overwrite: replace what stands there.
+        resume: keep what an interrupted run left in the work folder, and leave it there after an error. Else it is
+            empty at first, and removed after an error.
+
+    Raises:
+        InputError: see `check_output`; another process writes it; the disk is full or read-only.
+    """
+    check_output(path, overwrite)
+    with disk_errors(path), locked(path):
+        check_output(path, overwrite)
+        work = partial_path(path)
+        if not resume:
+            shutil.rmtree(work, ignore_errors=True)
+        work.mkdir(parents=True, exist_ok=True)
+        try:
+            yield work
+            commit(work, path)
+        except BaseException:
+            if not resume:
+                shutil.rmtree(work, ignore_errors=True)
+            raise
+
+
+@contextmanager
+def disk_errors(*paths: Path) -> Iterator[None]:
+    """What the disk refuses of results within the block becomes a sentence.
+
+    Raises:
+        InputError: the disk is full, read-only or out of the user's reach.
+    """
     try:
-        yield partial
-    except BaseException:
-        partial.unlink(missing_ok=True)
+        yield
+    except UrsnavError:
         raise
-    commit(partial, path)
+    except Exception as error:
+        name = getattr(error, "filename", None)
+        mine = name is None or any(str(name).startswith(str(path)) for path in paths)
+        sentence = disk_sentence(error, paths[0]) if mine else None
+        if sentence is None:
+            raise
+        raise InputError(sentence) from error
+
+
+def disk_sentence(error: BaseException, path: Path | None = None) -> str | None:
+    """What to tell about a disk that refuses to write; None where it is another kind of error."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number is None:  # libraries that write files themselves tell the cause in their own error's text
+        number = next((n for n in _DISK if os.strerror(n) in str(error)), None)
+    if number is None or number not in _DISK:
+        return None
+    where = path or getattr(error, "filename", None) or "The result"
+    return f"{where} cannot be written: {os.strerror(number)}. {_DISK[number]}"
+
+
+def write_image(path: Path, image: Any, jpeg_quality: int | None = None) -> None:
+    """Write a picture, uint8 (H, W) or (H, W, 3) in OpenCV's order, in the format that the name's ending says.
+
+    OpenCV's own `imwrite` says nothing when the disk is full.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    import cv2
+
+    options = [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    path.write_bytes(cv2.imencode(path.suffix, image, options)[1].tobytes())
 
 
 def write_json(path: Path, data: Mapping[str, Any], overwrite: bool = True) -> None:
