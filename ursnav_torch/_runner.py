@@ -18,6 +18,7 @@ import hydra
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue
 
+from ursnav_torch.disk import disk_sentence
 from ursnav_torch.errors import UrsnavError
 
 # NumPy's products are small here and slower on two threads than on one; PyTorch has threads of its own.
@@ -139,7 +140,7 @@ def _run(task: Callable[[Any], int | None], config: DictConfig) -> NoReturn:
     except Exception as error:
         if os.environ.get("HYDRA_FULL_ERROR") == "1":
             raise
-        cause = _own_error(error)
+        cause = _own_error(error) or disk_sentence(error)
         text = str(cause) if cause else f"{type(error).__name__}: {error} (HYDRA_FULL_ERROR=1 shows where)"
         print(f"error: {text}", file=sys.stderr)
         sys.exit(NOT_DONE)

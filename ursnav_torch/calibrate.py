@@ -17,11 +17,11 @@ def main(config: Any) -> None:
         return
 
     from ursnav_torch.features import read_image
-    from ursnav_torch.files import check_output
+    from ursnav_torch.results import check_set
     from ursnav_torch.runs.pictures import find_images
 
     out = caller_path(config.out)
-    check_output(out, config.overwrite)
+    check_set((out, out.with_suffix(".png")), config.overwrite)
     base, paths = find_images(str(caller_path(config.images)))
     result = calibrate_camera({path.relative_to(base).as_posix(): read_image(path) for path in paths}, board)
     save_calibration(result, out, config.overwrite)

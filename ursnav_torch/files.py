@@ -1,7 +1,7 @@
 """Results that are whole or absent: work lies in ``NAME.partial`` and gets its name in one rename; and progress."""
 
 import csv
-import errno
+import hashlib
 import json
 import os
 import re
@@ -11,25 +11,12 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from ursnav_torch.errors import InputError, UrsnavError
+from ursnav_torch.disk import disk_errors
+from ursnav_torch.errors import InputError
 from ursnav_torch.locks import locked, partial_path
 
 #: ``progress(total, what)`` gives a context with ``advance(n)``: how long work says how far it is.
 Progress = Callable[[int, str], AbstractContextManager[Callable[[int], None]]]
-
-
-_FREE = "Free some space, then give the same command again; what is finished is kept."
-_ELSEWHERE = "Choose another out=, or see to the folder's permissions."
-#: What to do about what a disk refuses.
-_DISK = {
-    errno.ENOSPC: _FREE,
-    errno.EDQUOT: _FREE,
-    errno.EFBIG: _FREE,
-    errno.EROFS: _ELSEWHERE,
-    errno.EACCES: _ELSEWHERE,
-    errno.EPERM: _ELSEWHERE,
-    errno.EIO: "The disk is damaged or was taken away; choose another out=.",
-}
 
 
 @contextmanager
@@ -74,14 +61,21 @@ def commit(partial: Path, path: Path) -> None:
     if path.is_file() and partial.is_dir():
         path.unlink()
     if path.is_dir() and partial.is_dir():
-        aside = path.with_name(path.name + ".partial.old")
-        shutil.rmtree(aside, ignore_errors=True)
-        os.rename(path, aside)
+        remove_aside(path)
+        os.rename(path, _aside(path))
         os.rename(partial, path)
-        shutil.rmtree(aside)
     else:
         os.replace(partial, path)
-        shutil.rmtree(path.with_name(path.name + ".partial.old"), ignore_errors=True)  # of one killed in between
+    remove_aside(path)
+
+
+def remove_aside(path: Path) -> None:
+    """Remove the former folder ``path`` that `commit` moved aside, perhaps in a process that was then killed."""
+    shutil.rmtree(_aside(path), ignore_errors=True)
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(path.name + ".partial.old")
 
 
 @contextmanager
@@ -132,37 +126,6 @@ def whole_folder(path: Path, overwrite: bool = False, resume: bool = False) -> I
             raise
 
 
-@contextmanager
-def disk_errors(*paths: Path) -> Iterator[None]:
-    """What the disk refuses of results within the block becomes a sentence.
-
-    Raises:
-        InputError: the disk is full, read-only or out of the user's reach.
-    """
-    try:
-        yield
-    except UrsnavError:
-        raise
-    except Exception as error:
-        name = getattr(error, "filename", None)
-        mine = name is None or any(str(name).startswith(str(path)) for path in paths)
-        sentence = disk_sentence(error, paths[0]) if mine else None
-        if sentence is None:
-            raise
-        raise InputError(sentence) from error
-
-
-def disk_sentence(error: BaseException, path: Path | None = None) -> str | None:
-    """What to tell about a disk that refuses to write; None where it is another kind of error."""
-    number = error.errno if isinstance(error, OSError) else None
-    if number is None:  # libraries that write files themselves tell the cause in their own error's text
-        number = next((n for n in _DISK if os.strerror(n) in str(error)), None)
-    if number is None or number not in _DISK:
-        return None
-    where = path or getattr(error, "filename", None) or "The result"
-    return f"{where} cannot be written: {os.strerror(number)}. {_DISK[number]}"
-
-
 def write_image(path: Path, image: Any, jpeg_quality: int | None = None) -> None:
     """Write a picture, uint8 (H, W) or (H, W, 3) in OpenCV's order, in the format that the name's ending says.
 
@@ -200,6 +163,15 @@ def cell(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+def fingerprint(path: Path) -> tuple[int, str]:
+    """Size in bytes and sha256 of a file; -1 and blank where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return os.fstat(file.fileno()).st_size, hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return -1, ""
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ursnav_torch.disk import disk_errors
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, commit, disk_errors
+from ursnav_torch.files import check_output, check_output_file, commit, remove_aside
 from ursnav_torch.locks import locked, partial_path
 
 _LIST = "publish.json"
@@ -41,13 +42,16 @@ class WholeSet:
 
 
 def check_set(paths: Sequence[Path], overwrite: bool) -> None:
-    """`check_output` for every result of a set, before the work; one that was about to appear is no hindrance.
+    """`check_output` for every result of a set (the first is a file), before the work.
+
+    Where a run was killed while its results appeared, those that have appeared are no hindrance.
 
     Raises:
         InputError: see `check_output`.
     """
     if not (partial_path(paths[0]) / _LIST).is_file():
-        for path in paths:
+        check_output_file(paths[0], overwrite)
+        for path in paths[1:]:
             check_output(path, overwrite)
 
 
@@ -75,8 +79,7 @@ def whole_set(
             whole.outcome = finished["outcome"]
             yield whole
             return
-        for path in paths:
-            check_output(path, overwrite)
+        check_set(paths, overwrite)
         _open(whole.folder, resume)
         try:
             yield whole
@@ -124,6 +127,7 @@ def _finish(whole: WholeSet) -> dict[str, Any] | None:
     for name, path in reversed(told["moves"].items()):  # the first last: where it stands, all stand
         if (folder / name).exists():
             commit(folder / name, Path(path))
+        remove_aside(Path(path))
     for left in folder.iterdir():
         if left.name != _LIST:
             shutil.rmtree(left) if left.is_dir() else left.unlink()

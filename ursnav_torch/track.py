@@ -13,8 +13,9 @@ def main(config: Any) -> int:
     from ursnav_torch.em_log import EmFormat
     from ursnav_torch.errors import InputError
     from ursnav_torch.registration import recorded_readings
+    from ursnav_torch.results import check_set
     from ursnav_torch.runs.sources import open_source, picture_times
-    from ursnav_torch.runs.track import camera_source, track_source
+    from ursnav_torch.runs.track import camera_source, track_results, track_source
     from ursnav_torch.runs.track_files import Besides, read_truth
     from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
@@ -42,10 +43,11 @@ def main(config: Any) -> int:
         readings += "\n"
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
-    besides = Besides(out, truth, config.tum, config.overwrite)
-    besides.check()
-    summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline)
-    print(readings + summary + besides.write())
+    read = [config[key] for key in ("source", "em", "em_to_kidney", "truth") if config[key] is not None]
+    besides = Besides(truth, config.tum, tuple(caller_path(path) for path in read if path != "camera"))
+    check_set(track_results(out, besides), config.overwrite)
+    summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline, besides)
+    print(readings + summary)
     return OK if whole else NOT_DONE
 
 

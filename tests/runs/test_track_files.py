@@ -6,6 +6,7 @@ import pytest
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import write_csv
+from ursnav_torch.results import whole_set
 from ursnav_torch.runs.track_files import Besides, Truth, read_track, read_truth, score_track
 from ursnav_torch.vid import pose_cells
 
@@ -49,10 +50,21 @@ def test_without_calyces_none_is_scored_and_a_short_truth_is_refused(track: Path
 
 
 def test_only_known_poses_are_exported_in_meters(track: Path, tmp_path: Path) -> None:
-    besides = Besides(track, None, tum=True, overwrite=False)
-    besides.check()
-    assert besides.write() == "" and not list(tmp_path.glob("*.score.json"))
-    lines = [[float(v) for v in line.split()] for line in (tmp_path / "track.tum").read_text().splitlines()]
+    besides, out = Besides(None, tum=True), tmp_path / "again.csv"
+    with whole_set((out, *besides.paths(out)), False, {}) as whole:
+        whole.staged(out).write_bytes(track.read_bytes())
+        assert besides.write(whole) == ""
+        whole.outcome = True
+    assert not list(tmp_path.glob("*.score.json"))
+    lines = [[float(v) for v in line.split()] for line in (tmp_path / "again.tum").read_text().splitlines()]
     np.testing.assert_allclose(lines, [[0.1, 0.001, 0, 0, 0, 0, 0, 1], [0.3, 0.01, 0, 0, 0, 0, 0, 1]])
-    with pytest.raises(InputError, match="overwrite=true"):
-        besides.check()
+
+
+def test_a_track_is_told_by_the_bytes_it_is_made_from(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.png").write_bytes(b"1")
+    inputs = Besides(inputs=(tmp_path / "in", tmp_path / "nowhere"))
+    before = inputs.fingerprints()
+    assert [entry[:2] for entry in before] == [[str(tmp_path / "in" / "a.png"), 1], [str(tmp_path / "nowhere"), -1]]
+    (tmp_path / "in" / "a.png").write_bytes(b"2")
+    assert inputs.fingerprints() != before

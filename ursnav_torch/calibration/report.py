@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ursnav_torch.calibration.solve import Calibration
-from ursnav_torch.files import check_output, whole_file, write_json
+from ursnav_torch.files import write_json
+from ursnav_torch.results import whole_set
 
 
 def save_calibration(result: Calibration, path: Path, overwrite: bool = False) -> None:
@@ -17,12 +18,13 @@ def save_calibration(result: Calibration, path: Path, overwrite: bool = False) -
         InputError: one of the two exists and ``overwrite`` is false.
     """
     picture = path.with_suffix(".png")
-    for target in (path, picture):
-        check_output(target, overwrite)
     quality = {"rms_px": round(result.rms_px, 4), "images": len(result.corners), "seen_deg": round(result.seen_deg, 1)}
-    with whole_file(picture, overwrite) as partial:
-        _residual_plot(result).savefig(partial, format="png", dpi=120)
-    write_json(path, result.camera.to_dict() | quality, overwrite)
+    data = result.camera.to_dict() | quality
+    with whole_set((path, picture), overwrite, data) as both:
+        if both.outcome is None:
+            _residual_plot(result).savefig(both.staged(picture), format="png", dpi=120)
+            write_json(both.staged(path), data)
+            both.outcome = True
 
 
 def summary(result: Calibration) -> str:

@@ -1,6 +1,5 @@
 """What is collected while a kidney is explored: views, names, landmarks; kept as files that other runners read."""
 
-import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import LANDMARK_COLUMNS, TRUTH_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, commit, partial_path, write_csv
+from ursnav_torch.files import whole_folder, write_csv, write_image
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx, write_calyces
 from ursnav_torch.rendering import RayScene, Renderer
@@ -103,17 +102,14 @@ class Collection:
         Raises:
             InputError: the folder exists and may not be replaced.
         """
-        check_output(folder, overwrite)
-        work = partial_path(folder)
-        shutil.rmtree(work, ignore_errors=True)
-        (work / "images").mkdir(parents=True)
-        write_calyces(work / "calyces.csv", self.kidney.calyces, self.kidney.pelvis_mm)
-        if self.T_kidney_camera:
-            self._write_views(work, renderer, lumen)
         rows = [dict(zip(LANDMARK_COLUMNS, map(float, p), strict=False)) for p in self.landmarks_mm]
-        if rows:
-            write_csv(work / "landmarks.csv", LANDMARK_COLUMNS, rows)
-        commit(work, folder)
+        with whole_folder(folder, overwrite) as work:
+            (work / "images").mkdir()
+            write_calyces(work / "calyces.csv", self.kidney.calyces, self.kidney.pelvis_mm)
+            if self.T_kidney_camera:
+                self._write_views(work, renderer, lumen)
+            if rows:
+                write_csv(work / "landmarks.csv", LANDMARK_COLUMNS, rows)
         return f"{len(self.T_kidney_camera)} views, {len(self.kidney.calyces)} names, {len(rows)} landmarks in {folder}"
 
     def _write_views(self, work: Path, renderer: Renderer, lumen: LumenDistance) -> None:
@@ -121,7 +117,7 @@ class Collection:
         calyx = observed_calyx(T, self.kidney, lumen)
         rows = []
         for i, cells in enumerate(pose_cells(T)):
-            cv2.imwrite(str(work / "images" / f"{i:06d}.png"), renderer.render(T[i]).image)
+            write_image(work / "images" / f"{i:06d}.png", renderer.render(T[i]).image)
             name = self.kidney.calyces[calyx[i]].name if calyx[i] >= 0 else ""
             rows.append({"image": f"{i:06d}.png", "calyx": name} | cells)
         write_csv(work / "poses.csv", TRUTH_COLUMNS, rows)

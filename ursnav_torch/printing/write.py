@@ -1,13 +1,11 @@
 """A phantom's files: two halves, where its landmarks are, what was measured, and a picture."""
 
 import json
-import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from ursnav_torch.files import check_output, commit, partial_path, write_csv
+from ursnav_torch.files import whole_folder, write_csv, write_image
 from ursnav_torch.kidney.tables import write_calyces
 from ursnav_torch.printing.measure import PrintCheck, check_print
 from ursnav_torch.printing.phantom import PrintedPhantom
@@ -23,16 +21,8 @@ def write_phantom(phantom: PrintedPhantom, out: Path, overwrite: bool = False) -
     Raises:
         InputError: ``out`` exists.
     """
-    check_output(out, overwrite)
-    work = partial_path(out)
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    try:
+    with whole_folder(out, overwrite) as work:
         check = _write_all(phantom, work)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    commit(work, out)
     return check
 
 
@@ -47,7 +37,7 @@ def _write_all(phantom: PrintedPhantom, work: Path) -> PrintCheck:
         [dict(zip(columns, (f"L{i + 1}", *point), strict=False)) for i, point in points],
     )
     write_calyces(work / "calyces.csv", phantom.kidney.calyces, phantom.kidney.pelvis_mm)
-    cv2.imwrite(str(work / "picture.png"), print_picture(phantom))
+    write_image(work / "picture.png", print_picture(phantom))
     check = check_print(phantom)
     about = {
         "source": phantom.kidney.source,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features import EdgePoints, read_image
+from ursnav_torch.files import write_image
 from ursnav_torch.localization import Location
 from ursnav_torch.reports.overview import Overview, draw_overview
 from ursnav_torch.vid import Vid
@@ -99,7 +100,7 @@ class MatchReport:
 
     def _figure(self, picture: Picture, name: str, caption: str) -> str:
         file = f"{name}.jpg"
-        cv2.imwrite(str(self.folder / file), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+        write_image(self.folder / file, picture, 88)
         return (
             f'<figure><img src="{file}" loading="lazy" alt="{html.escape(caption)}">'
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"

@@ -1,14 +1,14 @@
 """The whole job without data or devices: a phantom's VID, simulated pictures, matches, a page."""
 
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from ursnav_torch.columns import TRUTH_COLUMNS
-from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path, write_csv
+from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import Localizer, Query, simulated_queries
 from ursnav_torch.runs.match import match_images
@@ -57,24 +57,32 @@ def run_demo(
         overwrite: replace what stands there.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
     """
-    check_output(out, overwrite)
-    work = partial_path(out)
-    (work / "images").mkdir(parents=True, exist_ok=True)
+    with whole_folder(out, overwrite, resume=True) as work:
+        queries = _draw_queries(vid, make_renderer, plan, pictures_per_calyx, work, progress)
+        truth = {name: vid.calyx_name(q.calyx) for name, q in queries.items()}
+        rows = match_images(
+            Localizer(vid), str(work / "images"), work / "matches.csv", work / "report", True, progress, truth
+        )
+    return _scores(vid, queries, rows)
+
+
+def _draw_queries(
+    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, pictures_per_calyx: int, work: Path, progress: Progress
+) -> dict[str, Query]:
+    """The pictures by name, written to ``images/``, and ``truth.csv``."""
+    images = work / "images"
+    shutil.rmtree(images, ignore_errors=True)  # of an interrupted run: its pictures need not be these
+    images.mkdir()
     alike = replace(plan, views_per_calyx=pictures_per_calyx, passage_views=0, seed=plan.seed + 2)
     rng = np.random.default_rng(alike.seed)
     queries = {}
     with progress(pictures_per_calyx * len(vid.kidney.calyces), "pictures drawn") as advance:
         for i, query in enumerate(simulated_queries(vid, make_renderer, alike, rng)):
             queries[f"{i:03d}_{query.preset}.png"] = query
-            cv2.imwrite(str(work / "images" / f"{i:03d}_{query.preset}.png"), query.image)
+            write_image(images / f"{i:03d}_{query.preset}.png", query.image)
             advance(1)
     write_csv(work / "truth.csv", (*TRUTH_COLUMNS, "preset"), [_truth_row(vid, name, q) for name, q in queries.items()])
-    truth = {name: vid.calyx_name(q.calyx) for name, q in queries.items()}
-    rows = match_images(
-        Localizer(vid), str(work / "images"), work / "matches.csv", work / "report", True, progress, truth
-    )
-    commit(work, out)
-    return _scores(vid, queries, rows)
+    return queries
 
 
 def _truth_row(vid: Vid, name: str, query: Query) -> dict[str, Any]:

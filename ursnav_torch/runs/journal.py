@@ -12,11 +12,12 @@ class Journal:
     Args:
         path: the file; a journal of the very same work is taken up, any other is replaced.
         work: plain data that changes when the work does.
+        images: the pictures in their order; entries count as far as they are rows of these.
     """
 
-    def __init__(self, path: Path, work: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, work: Mapping[str, Any], images: Sequence[str]) -> None:
         self.path = path
-        self.done: list[dict[str, Any]] = _read(path, work)
+        self.done: list[dict[str, Any]] = _read(path, work, images)
         lines = [work, *self.done]
         path.write_text("".join(_line(line) for line in lines), encoding="utf-8")
 
@@ -26,16 +27,21 @@ class Journal:
             file.write(_line(entry))
 
 
-def _read(path: Path, work: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Entries of a journal of this work; a last line that was cut short is dropped."""
+def _read(path: Path, work: Mapping[str, Any], images: Sequence[str]) -> list[dict[str, Any]]:
+    """Entries of a journal of this work, up to a line that was cut short or is another picture's."""
     entries: list[dict[str, Any]] = []
     try:
         lines: Sequence[str] = path.read_text(encoding="utf-8").splitlines()
-        for line in lines:
-            entries.append(json.loads(line))
-    except (OSError, ValueError):
+        if not lines or json.loads(lines[0]) != json.loads(_line(work)):
+            return []
+        for image, line in zip(images, lines[1:], strict=False):
+            entry = json.loads(line)
+            if entry["row"]["image"] != image or "page" not in entry:
+                break
+            entries.append(entry)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass
-    return entries[1:] if entries and entries[0] == json.loads(_line(work)) else []
+    return entries
 
 
 def _line(entry: Mapping[str, Any]) -> str:

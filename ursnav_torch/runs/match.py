@@ -7,9 +7,10 @@ from typing import Any
 from ursnav_torch.columns import MATCH_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import read_image
-from ursnav_torch.files import Progress, check_output, check_output_file, commit, partial_path, write_csv
+from ursnav_torch.files import Progress, fingerprint, write_csv
 from ursnav_torch.localization import Localizer
 from ursnav_torch.reports import MatchReport
+from ursnav_torch.results import check_set, whole_set
 from ursnav_torch.runs.journal import Journal
 from ursnav_torch.runs.pictures import find_images, locate_files
 
@@ -18,11 +19,9 @@ def check_results(out: Path, report: Path | None, overwrite: bool) -> None:
     """Refuse to replace what `match_images` would write to; so that nobody waits for the refusal.
 
     Raises:
-        InputError: see `check_output`.
+        InputError: see `check_set`.
     """
-    check_output_file(out, overwrite)
-    if report is not None:
-        check_output(report, overwrite)
+    check_set(_results(out, report), overwrite)
 
 
 def match_images(
@@ -36,7 +35,7 @@ def match_images(
 ) -> list[dict[str, Any]]:
     """Locate all pictures of a file, folder or glob, write the CSV and, if asked for, the page with pictures.
 
-    A run that was interrupted goes on after the last picture it had finished.
+    A run that was interrupted goes on after the last picture it had finished. CSV and page appear as one.
 
     Args:
         localizer: the VID and how to search it.
@@ -49,54 +48,78 @@ def match_images(
 
     Returns:
         The rows, keyed by `MATCH_COLUMNS`.
+
+    Raises:
+        InputError: there is no picture, a result exists, another process writes it, or the disk is full.
     """
     base, paths = find_images(images)
     check_results(out, report, overwrite)
-    page = None
-    if report is not None:
-        if not localizer.vid.image_path(0).exists():
-            raise InputError(
-                f"The VID {localizer.vid.folder} has no pictures, which a report shows; copy its images/, too, or "
-                "leave report= out."
-            )
-    journal = Journal(partial_path(out), _work(localizer, base, paths, report, truth))
-    if report is not None:
-        if not journal.done:
-            shutil.rmtree(partial_path(report), ignore_errors=True)
-        partial_path(report).mkdir(parents=True, exist_ok=True)
-        page = MatchReport(partial_path(report), localizer.vid)
-    rows = []
-    with progress(len(paths), "pictures") as advance:
-        for entry in journal.done:
-            rows.append(entry["row"])
+    if report is not None and not localizer.vid.image_path(0).exists():
+        raise InputError(
+            f"The VID {localizer.vid.folder} has no pictures, which a report shows; copy its images/, too, or "
+            "leave report= out."
+        )
+    work = _work(localizer, base, paths, report, truth)
+    with whole_set(_results(out, report), overwrite, work, resume=True) as whole:
+        if whole.outcome is None:
+            names = [path.relative_to(base).as_posix() for path in paths]
+            journal = Journal(whole.folder / "journal.jsonl", work, names)
+            page = None if report is None else _page(whole.staged(report), localizer, journal)
+            rows = _located(localizer, base, paths, journal, page, progress, truth or {})
             if page is not None:
-                page.entries.append(entry["page"])
+                page.finish(f"{len(rows)} pictures from {base}, searched among {len(localizer.vid)} views.")
+            write_csv(whole.staged(out), MATCH_COLUMNS, rows)
+            whole.outcome = rows
+    return list(whole.outcome)
+
+
+def _results(out: Path, report: Path | None) -> tuple[Path, ...]:
+    return (out,) if report is None else (out, report)
+
+
+def _page(folder: Path, localizer: Localizer, journal: Journal) -> MatchReport:
+    """The page with what the journal knows; pictures of entries that were never finished are overwritten."""
+    if not journal.done:
+        shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(exist_ok=True)
+    page = MatchReport(folder, localizer.vid)
+    page.entries.extend(entry["page"] for entry in journal.done)
+    return page
+
+
+def _located(
+    localizer: Localizer,
+    base: Path,
+    paths: list[Path],
+    journal: Journal,
+    page: MatchReport | None,
+    progress: Progress,
+    truth: dict[str, str],
+) -> list[dict[str, Any]]:
+    """A row a picture: those of the journal, then the others, which are added to it."""
+    rows = [entry["row"] for entry in journal.done]
+    with progress(len(paths), "pictures") as advance:
         advance(len(rows))
         left = paths[len(rows) :]
         for path, (row, location) in zip(left, locate_files(localizer, base, left), strict=True):
             rows.append(row)
             if page is not None:
-                page.add(row, location, _readable(path), (truth or {}).get(row["image"]))
+                page.add(row, location, _readable(path), truth.get(row["image"]))
             journal.add({"row": row, "page": page.entries[-1] if page is not None else None})
             advance(1)
-    if page is not None and report is not None:
-        page.finish(f"{len(rows)} pictures from {base}, searched among {len(localizer.vid)} views.")
-        commit(partial_path(report), report)
-    write_csv(out, MATCH_COLUMNS, rows)
     return rows
 
 
 def _work(
     localizer: Localizer, base: Path, paths: list[Path], report: Path | None, truth: dict[str, str] | None
 ) -> dict[str, Any]:
-    """What an interrupted run must have had in common with this one to be taken up."""
-    pictures = [[str(p), p.stat().st_mtime if p.exists() else 0.0] for p in paths]
+    """What an interrupted run must have had in common with this one to be taken up: every byte that goes in."""
     description = localizer.vid.folder / "vid.json"
     return {
         "vid": description.read_text(encoding="utf-8") if description.exists() else str(localizer.vid.folder),
         "settings": f"{localizer.matching} {localizer.settings}",
         "base": str(base),
-        "pictures": pictures,
+        "pictures": [[str(path), *fingerprint(path)] for path in paths],
         "report": None if report is None else str(report),
         "truth": truth,
     }

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +14,11 @@ from ursnav_torch.devices import Camera, SourceAtEndError
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
-from ursnav_torch.files import Progress, cell, check_output_file, whole_file, write_json
+from ursnav_torch.files import Progress, cell, write_image, write_json
 from ursnav_torch.reports.coverage import draw_coverage
+from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
+from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
@@ -38,11 +39,12 @@ def track_source(
     overwrite: bool,
     progress: Progress,
     offline: bool = False,
+    besides: Besides = NOTHING_BESIDES,
 ) -> tuple[str, bool]:
     """Track a source; write the rows to ``out`` and what was seen to ``.coverage.json`` and ``.png`` beside it.
 
     Live rows are written as they come, so memory does not grow with the video. An interruption (Ctrl-C) keeps what was
-    tracked so far.
+    tracked so far. All files appear as one.
 
     Args:
         tracker: fresh.
@@ -52,19 +54,38 @@ def track_source(
         overwrite: replace what stands there.
         progress: shows how far it is.
         offline: follow a recording both ways before anything is answered, see `track_offline`.
+        besides: what else is made of the rows.
 
     Returns:
         The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
 
     Raises:
-        InputError: a result stands there already, the source gives no picture, or offline is asked of a camera.
+        InputError: a result stands there already, the source gives no picture, offline is asked of a camera, another
+            process writes the same result, or the disk is full.
     """
-    beside = [out.with_suffix(f".coverage.{kind}") for kind in ("json", "png")]
-    for path in beside:
-        check_output_file(path, overwrite)
+    paths = track_results(out, besides)
+    work = {"vid": str(tracker.vid.folder), "source": source.what, "offline": offline, "inputs": besides.fingerprints()}
+    with whole_set(paths, overwrite, work) as whole:
+        if whole.outcome is None:
+            summary, ended = _tracked(tracker, source, whole, sensor, progress, offline)
+            whole.outcome = [summary + besides.write(whole), ended]
+    told, ended = whole.outcome
+    return str(told), bool(ended)
+
+
+def track_results(out: Path, besides: Besides) -> tuple[Path, ...]:
+    """The files that `track_source` makes, the rows first."""
+    return (out, *(out.with_suffix(f".coverage.{kind}") for kind in ("json", "png")), *besides.paths(out))
+
+
+def _tracked(
+    tracker: Tracker, source: Source, whole: WholeSet, sensor: Sensor | None, progress: Progress, offline: bool
+) -> tuple[str, bool]:
+    """Track, write rows and coverage; the summary, and whether the source was tracked to its end."""
+    out, *beside = whole.paths[:3]
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
     spent, start, interrupted = list[float](), time.perf_counter(), False
-    with whole_file(out, overwrite) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -84,9 +105,8 @@ def track_source(
             raise InputError(f"{source.what} gave no picture at all.")
     rate = len(spent) / (time.perf_counter() - start)
     report = coverage_report(coverage, last)
-    write_json(beside[0], report | {"pictures": states, "ended": ended}, overwrite)
-    with whole_file(beside[1], overwrite) as partial:
-        partial.write_bytes(cv2.imencode(".png", draw_coverage(coverage))[1].tobytes())
+    write_json(whole.staged(beside[0]), report | {"pictures": states, "ended": ended})
+    write_image(whole.staged(beside[1]), draw_coverage(coverage))
     summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm, write_tum
-from ursnav_torch.files import check_output_file, whole_file, write_json
+from ursnav_torch.files import fingerprint, write_json
+from ursnav_torch.results import WholeSet
 from ursnav_torch.tables import number, read_csv, whole_number
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import poses_from_rows
@@ -106,40 +108,48 @@ def score_track(track: TrackFile, truth: Truth) -> dict[str, float | int | None]
 
 @dataclass(frozen=True, slots=True)
 class Besides:
-    """What is made of a track's rows, beside them: ``.score.json`` where the truth is known, and ``.tum``."""
+    """What is made of a track's rows, beside them: ``.score.json`` where the truth is known, and ``.tum``.
 
-    out: Path
-    truth: Truth | None
-    tum: bool
-    overwrite: bool
+    Attributes:
+        truth: the true poses, or None.
+        tum: whether ``.tum`` is asked for.
+        inputs: files and folders that the track is made from; they tell it from another track of the same name.
+    """
 
-    def check(self) -> None:
-        """Refuse before the work, not after it.
+    truth: Truth | None = None
+    tum: bool = False
+    inputs: tuple[Path, ...] = ()
 
-        Raises:
-            InputError: one of the files stands there already.
-        """
-        for wanted, ending in ((self.truth is not None, ".score.json"), (self.tum, ".tum")):
-            if wanted:
-                check_output_file(self.out.with_suffix(ending), self.overwrite)
+    def paths(self, out: Path) -> tuple[Path, ...]:
+        """The files to be made beside the rows in ``out``."""
+        wanted = ((self.truth is not None, ".score.json"), (self.tum, ".tum"))
+        return tuple(out.with_suffix(ending) for is_wanted, ending in wanted if is_wanted)
 
-    def write(self) -> str:
-        """Write what is asked for, each whole or not at all; the score for people to read, blank without one.
+    def fingerprints(self) -> list[list[Any]]:
+        """Name, size and sha256 of every input, and of every file in a folder among them."""
+        files = [f for path in self.inputs for f in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+        return [[str(file), *fingerprint(file)] for file in files if not file.is_dir()]
+
+    def write(self, whole: WholeSet) -> str:
+        """Write what is asked for into the set; the score for people to read, blank without one.
 
         Raises:
             InputError: see `score_track`.
         """
-        if self.tum:
-            track = read_track(self.out)
-            with whole_file(self.out.with_suffix(".tum"), self.overwrite) as partial:
-                write_tum(partial, track.t_s, track.T_kidney_camera)
-        if self.truth is None:
+        out = whole.paths[0]
+        track = read_track(whole.staged(out)) if self.paths(out) else None
+        if self.tum and track is not None:
+            write_tum(whole.staged(out.with_suffix(".tum")), track.t_s, track.T_kidney_camera)
+        if self.truth is None or track is None:
             return ""
-        found = score_track(read_track(self.out), self.truth)
-        write_json(self.out.with_suffix(".score.json"), found, self.overwrite)
+        found = score_track(track, self.truth)
+        write_json(whole.staged(out.with_suffix(".score.json")), found)
         return "\nagainst the truth: " + ", ".join(
             f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
         )
+
+
+NOTHING_BESIDES = Besides()
 
 
 def _quantile(errors: Array, share: float) -> float:

@@ -1,17 +1,15 @@
 """The result of a segmentation as files: surface, label map, preview, calyces, landmarks."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path, write_csv
+from ursnav_torch.files import Progress, check_output, no_progress, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.tables import write_calyces, write_centerline
@@ -53,24 +51,17 @@ def segment_scan(
         raise InputError(f"{landmarks} holds no point list; landmarks are placed as points in 3D Slicer.")
     found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
     kidney = name_kidney(found, calyces, centerline)
-    work = partial_path(out)
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    try:
+    with whole_folder(out, overwrite) as work:
         _write_all(found, kidney, work, frame)
         if points is not None:
             _write_landmarks(work / "landmarks.csv", points[0], apply(found.T_kidney_lps, points[1]))
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    commit(work, out)
     return kidney
 
 
 def _write_all(found: CtKidney, kidney: Kidney, work: Path, frame: str) -> None:
     write_stl(work / "lumen.stl", kidney.mesh, frame)
     write_scan(_label_map(found), work / "labels.nii.gz")
-    cv2.imwrite(str(work / "preview.png"), preview(found, kidney.calyces))
+    write_image(work / "preview.png", preview(found, kidney.calyces))
     write_calyces(work / "calyces.csv", kidney.calyces, kidney.pelvis_mm)
     write_centerline(work / "centerline.csv", kidney.centerline, [c.name for c in kidney.calyces])
     about: dict[str, Any] = {

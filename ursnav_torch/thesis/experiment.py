@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path, write_json
+from ursnav_torch.files import Progress, no_progress, whole_folder, write_json
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.thesis.figures import Figure, compare_figures, results
 from ursnav_torch.thesis.report import report_page
@@ -39,13 +39,11 @@ def run_experiment(
     Raises:
         InputError: ``out`` exists, or the experiment cannot be done in this kidney.
     """
-    check_output(out, overwrite)
-    work = partial_path(out)
-    outcome = perform(kidney, pipeline, settings, work, progress)
-    figures = compare_figures(outcome)
-    write_json(work / "results.json", results(outcome, figures, dict(record or {})))
-    renderer = pipeline.make_renderer(kidney.mesh, pipeline.camera)
-    (work / "report.html").write_text(report_page(outcome, figures, name, renderer), encoding="utf-8")
-    (work / "made_for.txt").unlink()
-    commit(work, out)
+    with whole_folder(out, overwrite, resume=True) as work:
+        outcome = perform(kidney, pipeline, settings, work, progress)
+        figures = compare_figures(outcome)
+        write_json(work / "results.json", results(outcome, figures, dict(record or {})))
+        renderer = pipeline.make_renderer(kidney.mesh, pipeline.camera)
+        (work / "report.html").write_text(report_page(outcome, figures, name, renderer), encoding="utf-8")
+        (work / "made_for.txt").unlink()
     return outcome, figures

@@ -1,6 +1,7 @@
 """The whole experiment, from the anatomy to the verdicts (thesis chapters 3 to 5)."""
 
 import contextlib
+import hashlib
 import shutil
 import warnings
 from collections.abc import Callable
@@ -150,13 +151,17 @@ def _prepared_vid(
 ) -> Vid:
     """The VID in ``work``: the one that is there if it was made for the very same experiment, else a new one."""
     mark = work / "made_for.txt"
-    same = f"{kidney.source} {kidney.scale} {kidney.mesh.vertices.sum()} "
+    mesh = hashlib.sha256(kidney.mesh.vertices.tobytes() + kidney.mesh.faces.tobytes()).hexdigest()
+    same = f"{kidney.source} {kidney.scale} {mesh} "
     same += f"{pipeline.camera} {pipeline.features} {pipeline.make_renderer} {pipeline.views} {pipeline.calibrate} "
     same += str(settings.views_by_hand)
     if not (mark.exists() and mark.read_text(encoding="utf-8") == same):
         shutil.rmtree(work, ignore_errors=True)
-        work.mkdir(parents=True)
+        work.mkdir(parents=True, exist_ok=True)
         mark.write_text(same, encoding="utf-8")
+    for left in work.iterdir():  # everything but the VID is made anew
+        if left.name not in (mark.name, "vid", "vid.partial"):
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
     if (work / "vid").exists():
         return load_vid(work / "vid")
     learn = partial(learn_confidence, make_renderer=pipeline.make_renderer, plan=pipeline.views)

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.columns import MATCH_COLUMNS, TRUTH_COLUMNS
 from ursnav_torch.features import read_image
-from ursnav_torch.files import Progress, write_csv
+from ursnav_torch.files import Progress, write_csv, write_image
 from ursnav_torch.geometry import Array
 from ursnav_torch.localization import Localizer, Location
 from ursnav_torch.rendering import Renderer
@@ -76,7 +75,7 @@ def draw_pictures(
         count[c] += 1
         names.append(f"{vid.calyx_name(c)}{count[c]}.png")
         picture = simulate(renderer, T, draw_faults(PRESETS[preset], rng), rng)
-        cv2.imwrite(str(folder / "images" / names[-1]), picture)
+        write_image(folder / "images" / names[-1], picture)
     cells = pose_cells(T_kidney_camera)
     truth = [
         {"image": name, "calyx": vid.calyx_name(c)} | cell

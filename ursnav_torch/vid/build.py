@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import Settings, settings_to_dict
-from ursnav_torch.files import Progress, check_output, commit, no_progress, partial_path
+from ursnav_torch.files import Progress, check_output, no_progress, whole_folder
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.compute import Compute, LocalCompute
@@ -60,26 +60,25 @@ def build_vid(
 
     Raises:
         InputError: ``out`` exists, a calyx has no room for the scope, collected views do not fit kidney or lens, or a
-            cluster does not do its part.
+            cluster does not do its part; another process builds it; the disk is full.
     """
     check_output(out, overwrite)
     compute = compute or LocalCompute(workers)
     compute.check_folder(out.parent)
-    views = _planned(kidney, plan, compute)
-    pictures = () if isinstance(plan, PlanSettings) else plan.pictures
-    work = partial_path(out)
-    studio = Studio(kidney.mesh, camera, settings, make_renderer, pictures)
-    _prepare(work, _fingerprint(studio, views))
-    with progress(len(views.calyx), "views") as advance:
-        _draw_all(studio, views.T_kidney_camera, work, compute, advance)
-    shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
-    vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
-    if learn is not None:
-        vid = replace(vid, calibration=learn(vid, progress=progress))
-    save_vid(vid, work)
-    shutil.rmtree(work / "shards")
-    (work / "fingerprint.json").unlink()
-    commit(work, out)
+    with whole_folder(out, overwrite, resume=True) as work:
+        views = _planned(kidney, plan, compute)
+        pictures = () if isinstance(plan, PlanSettings) else plan.pictures
+        studio = Studio(kidney.mesh, camera, settings, make_renderer, pictures)
+        _prepare(work, _fingerprint(studio, views))
+        with progress(len(views.calyx), "views") as advance:
+            _draw_all(studio, views.T_kidney_camera, work, compute, advance)
+        shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
+        vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
+        if learn is not None:
+            vid = replace(vid, calibration=learn(vid, progress=progress))
+        save_vid(vid, work)
+        (work / "fingerprint.json").unlink()  # first: without it what lies there is of no use to another call
+        shutil.rmtree(work / "shards")
     return load_vid(out)
 
 

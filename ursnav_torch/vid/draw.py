@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import NO_MAPS, EdgePoints, Features, Settings, make_extractor, read_image
+from ursnav_torch.files import write_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.rendering import Renderer, View
 from ursnav_torch.vid.base import ViewFeatures, image_name
@@ -42,7 +43,7 @@ class Studio:
         for number, T in enumerate(T_kidney_camera):
             view = renderer.render(T)
             image = read_image(self.pictures[first + number]) if self.pictures else view.image
-            cv2.imwrite(str(images / image_name(first + number)), image)
+            write_image(images / image_name(first + number), image)
             try:
                 features = extractor.extract(image, virtual=True)
             except FeatureError:  # a wall without relief: the view stays, and never matches

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import POSE_COLUMNS, UNITY_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, commit, partial_path, write_csv
+from ursnav_torch.files import check_output, whole_folder, write_csv
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.tables import Row, number, read_csv
@@ -107,14 +107,12 @@ def export_thesis(vid: Vid, folder: Path, mm_per_unit: float = THESIS_MM_PER_UNI
         raise InputError(
             f"The VID {vid.folder} lacks {len(missing)} of its pictures, {vid.image_path(missing[0])} first."
         )
-    work = partial_path(folder)
-    shutil.rmtree(work, ignore_errors=True)
-    shutil.copytree(vid.folder / "images", work / "images")
-    (work / "points").mkdir()
-    for view, (points, mask) in enumerate(zip(vid.features.points, vid.features.mask, strict=True)):
-        np.savetxt(work / "points" / f"{view:06d}.txt", points[mask].numpy(), "%.3f")
-    write_csv(work / "poses.csv", ("image", "calyx", *UNITY_COLUMNS, "mm_per_unit"), _unity_rows(vid, mm_per_unit))
-    commit(work, folder)
+    with whole_folder(folder, overwrite) as work:
+        shutil.copytree(vid.folder / "images", work / "images")
+        (work / "points").mkdir()
+        for view, (points, mask) in enumerate(zip(vid.features.points, vid.features.mask, strict=True)):
+            np.savetxt(work / "points" / f"{view:06d}.txt", points[mask].numpy(), "%.3f")
+        write_csv(work / "poses.csv", ("image", "calyx", *UNITY_COLUMNS, "mm_per_unit"), _unity_rows(vid, mm_per_unit))
 
 
 def _unity_rows(vid: Vid, mm_per_unit: float) -> list[dict[str, Any]]:
