@@ -17,7 +17,7 @@ from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.vid import PlanSettings, Vid, build_vid
+from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
 properties.register_profile("untimed", deadline=None)  # a busy machine is no counterexample
 properties.load_profile("untimed")
@@ -76,8 +76,14 @@ def plan() -> PlanSettings:
 
 @pytest.fixture(scope="session")
 def vid(phantom: Kidney, lens: Camera, plan: PlanSettings, tmp_path_factory: pytest.TempPathFactory) -> Vid:
-    """84 views of the phantom, without calibration; its folder is ``vid.folder``. Not to be changed."""
-    out = tmp_path_factory.mktemp("vid") / "small"
+    """84 views of the phantom, without calibration; its folder is ``vid.folder``. Not to be changed.
+
+    ``URSNAV_TEST_VID`` names a folder where it is kept from run to run, as `benchmarks.mutants` does.
+    """
+    kept = os.environ.get("URSNAV_TEST_VID")
+    if kept and Path(kept).exists():
+        return load_vid(kept)
+    out = Path(kept) if kept else tmp_path_factory.mktemp("vid") / "small"
     return build_vid(phantom, lens, DefaultSettings(), RaycastRenderer, plan, out, workers=1)
 
 

@@ -1,0 +1,94 @@
+"""One alignment: how far one step gets, what does not count, and what holds the light."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ursnav_torch.alignment import align
+from ursnav_torch.alignment.align import Aligner, _tukey
+from ursnav_torch.alignment.fields import AlignGrid, Fields
+from ursnav_torch.alignment.light import AT_CAMERA
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.features import DefaultExtractor, DefaultSettings
+from ursnav_torch.geometry import inverse, rotation_angle, transform_from
+from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.vid import Vid
+
+VIEWS = (3, 10, 20, 30, 44, 50, 57, 65)
+
+
+@pytest.fixture(scope="module")
+def aligner(phantom: Kidney) -> Aligner:
+    return Aligner(phantom.mesh, AlignGrid(equidistant_camera(160.0, 250, 250), 62, DefaultSettings()))
+
+
+@pytest.fixture(scope="module")
+def pairs(aligner: Aligner, phantom: Kidney, vid: Vid) -> list[tuple[Fields, np.ndarray, np.ndarray]]:
+    """Pictures' fields, their true poses (4, 4), and starts half a millimeter and four degrees aside."""
+    lens = equidistant_camera(160.0, 250, 250)
+    renderer, extractor = RaycastRenderer(phantom.mesh, lens), DefaultExtractor(DefaultSettings(), lens)
+    found = []
+    for view in VIEWS:
+        T, (shift, axis) = vid.T_kidney_camera[view], np.random.default_rng(view).standard_normal((2, 3))
+        turn = Rotation.from_rotvec(np.radians(4.0) * axis / np.linalg.norm(axis)).as_matrix()
+        start = T @ transform_from(turn, 0.5 * shift / np.linalg.norm(shift))
+        found.append((aligner.grid.of_picture(extractor.extract(renderer.render(T).image).fields[0]), T, start))
+    return found
+
+
+def off(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
+    """How far a pose is from another, mm and degrees."""
+    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(np.degrees(rotation_angle(T_a, T_b)))
+
+
+def test_one_step_by_the_mean_of_both_slopes_gets_farther_than_by_either(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
+    """Efficient second-order minimization; by the drawing's slopes alone 5.0 degrees are left, by the picture's 3.7."""
+    left = [off(aligner.align(seen, start, iterations=1, light_known=True).T_kidney_camera, T)
+            for seen, T, start in pairs]  # fmt: skip
+    mm, deg = np.mean(left, axis=0)
+    assert mm < 0.36 and deg < 3.2
+
+
+def test_more_steps_get_nearer_and_the_best_is_kept(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
+    for seen, T, start in pairs:
+        few, many = (aligner.align(seen, start, iterations=n, light_known=True) for n in (1, 8))
+        assert many.score >= few.score and few.iterations == 1 < many.iterations <= 8
+        assert off(many.T_kidney_camera, T)[0] < 0.35
+
+
+def test_the_score_is_the_drawings_where_it_was_moved_to(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
+    seen, T, start = pairs[0]
+    drawing = aligner.draw(start, AT_CAMERA, light_known=True)
+    here, there = (aligner.score(seen, drawing, pose, AT_CAMERA) for pose in (start, T))
+    back = aligner.score(seen, drawing, start @ inverse(inverse(start) @ T), AT_CAMERA)  # as far the other way
+    assert there > here > back
+
+
+def test_no_step_is_longer_than_its_linearization_can_be_trusted(phantom: Kidney, aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
+    seen, T, _ = pairs[0]
+    aside = T @ transform_from(Rotation.from_rotvec([0.0, 0.0, np.radians(25.0)]).as_matrix(), np.zeros(3))
+    mm, deg = off(aligner.align(seen, aside, iterations=1, light_known=True).T_kidney_camera, aside)
+    assert 0 < mm <= 1.5 + 1e-9 and 0 < deg <= 8.0 + 1e-6
+
+
+def test_residuals_beyond_five_times_their_size_do_not_count() -> None:
+    """Tukey's biweight."""
+    residual = np.full((3, 1000), 0.1, np.float32)
+    residual[:, :5] = 8.0  # the size of all is some 0.57
+    good = np.ones(1000, np.float32)
+    good[-1] = 0.0
+    weight = _tukey(residual, good, float(good.sum()))
+    assert (weight[:, :5] == 0).all() and (weight[:, 5:-1] > 0.99).all() and (weight[:, -1] == 0).all()
+    residual[:, :5] = 0.2
+    assert (_tukey(residual, good, float(good.sum()))[:, :5] > 0.7).all()
+
+
+def test_the_prior_draws_the_light_to_where_scopes_have_it(
+    aligner: Aligner, pairs, monkeypatch: pytest.MonkeyPatch
+) -> None:  # type: ignore[no-untyped-def]
+    start = AT_CAMERA + [1.0, -0.5, 0.3, 1.0, 0.05]
+    monkeypatch.setattr(align, "_LIGHT_PRIOR", 5.0)
+    for seen, _, aside in pairs[:3]:
+        np.testing.assert_allclose(aligner.align(seen, aside, start).light, AT_CAMERA, atol=0.15)
+        np.testing.assert_array_equal(aligner.align(seen, aside, start, light_known=True).light, start)
