@@ -38,8 +38,8 @@ NEEDED = 0.95
 LONGEST_S = 240.0
 _COPIED = ("ursnav_torch", "configs", "tests", "benchmarks", "docs", "README.md", "CONTRIBUTING.md", "pyproject.toml")
 _PRELOADED = ("torch", "kornia", "cv2", "scipy.spatial.transform", "scipy.optimize", "scipy.ndimage", "trimesh",
-              "networkx", "embreex", "skimage.measure", "hydra", "hypothesis", "pytest", "safetensors", "rich", "matplotlib.figure",
-              "SimpleITK", "serial")  # fmt: skip
+              "networkx", "embreex", "skimage.measure", "hydra", "hypothesis", "pytest", "safetensors", "rich",
+              "matplotlib.figure", "SimpleITK", "serial")  # fmt: skip
 #: Rooms whose faults change what the small VID of the tests holds, so that it has to be built anew.
 _BUILD_ANEW = ("camera", "features", "files", "geometry", "kidney", "matching", "rendering", "vid")
 _PRELOADED_ANYWAY = "ignore::pytest.PytestAssertRewriteWarning"

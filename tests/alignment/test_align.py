@@ -87,7 +87,7 @@ def test_residuals_beyond_five_times_their_size_do_not_count() -> None:
 def test_the_prior_draws_the_light_to_where_scopes_have_it(
     aligner: Aligner, pairs, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # type: ignore[no-untyped-def]
-    start = AT_CAMERA + [1.0, -0.5, 0.3, 1.0, 0.05]
+    start = AT_CAMERA + np.array([1.0, -0.5, 0.3, 1.0, 0.05])
     monkeypatch.setattr(align, "_LIGHT_PRIOR", 5.0)
     for seen, _, aside in pairs[:3]:
         np.testing.assert_allclose(aligner.align(seen, aside, start).light, AT_CAMERA, atol=0.15)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flights import hover
 
 from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp
 from ursnav_torch.errors import InputError
@@ -25,18 +26,8 @@ def navigator(tracker):
     return Navigator(tracker, governor=Governor(budget_s=1e9))
 
 
-def flight(vid, calyx, pictures=24):
-    """Poses that hover in front of a calyx."""
-    tip = vid.kidney.tips_mm[calyx]
-    start = vid.T_kidney_camera[np.flatnonzero(vid.calyx == calyx)[0]]
-    for i in range(pictures):
-        T = start.copy()
-        T[:3, 3] = start[:3, 3] + 0.15 * np.sin(i / 3) * (tip - start[:3, 3]) / np.linalg.norm(tip - start[:3, 3])
-        yield T
-
-
 def frames(vid, renderer, calyx=0, pictures=24, first=0):
-    for i, T in enumerate(flight(vid, calyx, pictures)):
+    for i, T in enumerate(hover(vid, calyx, pictures)):
         yield Frame(Stamp(first + i, time.monotonic(), time.time()), renderer.render(T).image), T
 
 
@@ -144,7 +135,7 @@ def test_less_effort_costs_less_and_keeps_the_track(tracker, vid, renderer):
 def record(vid, renderer, tmp_path_factory):
     path = tmp_path_factory.mktemp("navigated") / "record"
     with Recorder(path) as recorder:
-        for i, T in enumerate(flight(vid, 0, 30)):
+        for i, T in enumerate(hover(vid, 0, 30)):
             stamp = Stamp(i, 100 + i / 30, 1e9 + i / 30)
             recorder.write(Frame(stamp, renderer.render(T).image))
             recorder.write(Result(stamp, i, {"calyx": "old"}))

@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from flights import flight
 
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
 from ursnav_torch.devices import Camera, Frame, SourceAtEndError, Stamp
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.files import write_csv
-from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.registration import Registration
 from ursnav_torch.rendering import RaycastRenderer
@@ -32,9 +32,7 @@ Run = Callable[..., Any]
 @pytest.fixture(scope="module")
 def poses(phantom: Kidney) -> np.ndarray:
     """(8, 4, 4) on the way into the first calyx."""
-    points = phantom.centerline.points_mm[phantom.centerline.path_to(0)]
-    at = points[-16:-8]
-    return look_along(at, points[-8:] - at)
+    return flight(phantom, 0, from_mm=12.0)[:8]
 
 
 @pytest.fixture(scope="module")

@@ -5,25 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import flight
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import ThesisSettings
-from ursnav_torch.geometry import look_along, rotation_angle
+from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.place_search import SensorReading, TrackSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
-
-
-def flight(kidney: Kidney, calyx: int, step_mm: float = 0.8) -> np.ndarray:
-    """Poses (N, 4, 4) in along the centerline to 4 mm before a calyx's tip."""
-    points = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)]
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    stations = np.arange(along[-1] - 14.0, along[-1] - 4.0, step_mm)
-    at, ahead = (np.stack([np.interp(stations + d, along, points[:, i]) for i in range(3)], 1) for d in (0, 4))
-    return look_along(at, ahead - at, np.linspace(0, 0.3, len(stations)))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +43,7 @@ def off_mm(answers: list[Tracked], poses: np.ndarray) -> np.ndarray:
 
 
 def test_a_flight_into_a_calyx_is_followed(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
-    poses = flight(phantom, 2)
+    poses = flight(phantom, 2, roll=0.3)
     answers = follow(fresh, renderer, poses)
     settled = off_mm(answers, poses)[8:]  # within a second
     assert {a.state for a in answers[8:]} == {TRACKING}

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flights import ahead_by, flight
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
@@ -24,11 +25,7 @@ POSES = 18
 @pytest.fixture(scope="module")
 def poses(phantom: Kidney) -> np.ndarray:
     """(18, 4, 4) on the way to a calyx."""
-    points = phantom.centerline.points_mm[phantom.centerline.path_to(1)]
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    stations = along[-1] - 18.0 + 0.7 * np.arange(POSES)
-    at, ahead = (np.stack([np.interp(stations + d, along, points[:, i]) for i in range(3)], 1) for d in (0, 4))
-    return look_along(at, ahead - at, np.zeros(POSES))
+    return flight(phantom, 1, from_mm=18.0, to_mm=5.4, step_mm=0.7)[:POSES]
 
 
 @pytest.fixture(scope="module")
@@ -59,13 +56,6 @@ def answer(T: np.ndarray, score: float = 0.7, state: str = TRACKING, shown: bool
     )  # fmt: skip
 
 
-def moved(T: np.ndarray, mm: float) -> np.ndarray:
-    """Along the camera's own axis."""
-    aside = T.copy()
-    aside[:3, 3] += mm * T[:3, 2]
-    return aside
-
-
 def joined(tracker: Tracker, forward: list[Tracked], backward: list[Tracked], sensor: object = None) -> list[Tracked]:
     readings = [sensor if isinstance(sensor, SensorReading) else None] * len(forward)
     return join(forward, backward, [i / 10 for i in range(len(forward))], tracker, readings)
@@ -90,9 +80,9 @@ def test_the_way_back_judges_and_each_way_fills_what_the_other_did_not_find(
 
 def test_of_two_poses_the_better_aligned_counts_unless_motion_forbids_it(tracker: Tracker, poses: np.ndarray) -> None:
     right = [answer(T, 0.7) for T in poses[:9]]
-    slipped = [answer(moved(T, -6.0), 0.6) for T in poses[:9]]
+    slipped = [answer(ahead_by(T, -6.0), 0.6) for T in poses[:9]]
     assert off(joined(tracker, slipped, right), poses[:9]).max() < 0.6
-    leap = [*right[:4], answer(moved(poses[4], -6.0), 0.72), *right[5:]]
+    leap = [*right[:4], answer(ahead_by(poses[4], -6.0), 0.72), *right[5:]]
     dull = [*right[:4], answer(poses[4], 0.68), *right[5:]]
     assert off(joined(tracker, leap, dull), poses[:9]).max() < 0.6
     assert off(joined(tracker, dull, leap), poses[:9]).max() < 0.6
@@ -100,10 +90,10 @@ def test_of_two_poses_the_better_aligned_counts_unless_motion_forbids_it(tracker
 
 def test_the_sensor_says_which_of_two_poses(tracker: Tracker, poses: np.ndarray) -> None:
     T = poses[5]
-    reading = SensorReading(moved(T, -6.0)[:3, 3], np.zeros(3), 0.8)
-    right, aside = [answer(T, 0.71)] * 5, [answer(moved(T, -6.0), 0.7)] * 5
+    reading = SensorReading(ahead_by(T, -6.0)[:3, 3], np.zeros(3), 0.8)
+    right, aside = [answer(T, 0.71)] * 5, [answer(ahead_by(T, -6.0), 0.7)] * 5
     plain, told = joined(tracker, right, aside), joined(tracker, right, aside, reading)
-    assert off(plain, [T] * 5).max() < 1.0 and off(told, [moved(T, -6.0)] * 5).max() < 1.0
+    assert off(plain, [T] * 5).max() < 1.0 and off(told, [ahead_by(T, -6.0)] * 5).max() < 1.0
 
 
 def test_pictures_that_show_nothing_are_filled_between_seen_ones_only(tracker: Tracker, poses: np.ndarray) -> None:

@@ -3,8 +3,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flights import flight
 
-from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.track_rows import track_rows
@@ -16,9 +16,7 @@ from ursnav_torch.vid import Vid
 @pytest.fixture(scope="module")
 def moments(phantom: Kidney, renderer: RaycastRenderer) -> list[Moment]:
     """Eight pictures on the way to a calyx, the fifth all white."""
-    points = phantom.centerline.points_mm[phantom.centerline.path_to(1)][::4]
-    poses = look_along(points[:-1], np.diff(points, axis=0), np.zeros(len(points) - 1))[-12:-4]
-    images = [renderer.render(T).image for T in poses]
+    images = [renderer.render(T).image for T in flight(phantom, 1)[-8:]]
     images[4] = np.full_like(images[4], 255)
     return [Moment(i, i / 10, image, str(i)) for i, image in enumerate(images)]
 
