@@ -26,9 +26,7 @@ def test_near_best_views_vote_and_a_distance_of_0_012_more_counts_an_e_th() -> N
 def test_the_margin_is_how_much_farther_the_next_calyx_is() -> None:
     seen = said([0.1, 0.15, 0.3], [4, 4, 1])
     assert seen.distance == pytest.approx(0.1) and seen.margin == pytest.approx(0.2)
-    assert said([0.1, 0.101, 0.102], [4, 2, 2]).margin == pytest.approx(
-        -0.001, abs=1e-6
-    )  # the vote against the nearest
+    assert said([0.1, 0.101, 0.102], [4, 2, 2]).margin == pytest.approx(-0.001, abs=1e-6)  # outvoted
     assert said([0.1, 0.2], [-1, -1]).margin == 1.0 and said([0.1, 0.2], [-1, -1]).vote == 1.0
 
 

@@ -22,7 +22,7 @@ def edges(lens: Camera, count: int = 30) -> EdgePoints:
     return EdgePoints(points, torch.from_numpy(rng.uniform(0, np.pi, count)).float(), torch.ones(count))
 
 
-def test_convention_ray_there_is_R_times_ray_here(lens: Camera) -> None:
+def test_convention_the_ray_there_is_the_rotation_times_the_ray_here(lens: Camera) -> None:
     seen, R = edges(lens), Rotation.from_rotvec([[0.1, -0.05, 0.4], [0.0, 0.2, -1.0]]).as_matrix()
     points, direction = turn_edges(seen, lens, R)
     assert points.shape == (2, 30, 2) and direction.shape == (2, 30)
