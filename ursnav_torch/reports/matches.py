@@ -1,6 +1,5 @@
 """The HTML page of a `match` run: for each picture what was seen, what it was matched with, and where that is."""
 
-import html
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,15 @@ from numpy.typing import NDArray
 from ursnav_torch.features import EdgePoints, read_image
 from ursnav_torch.files import write_image
 from ursnav_torch.localization import Location
+from ursnav_torch.reports.html import render_page
+from ursnav_torch.reports.match_words import answer_words, filters_of, summary_words
 from ursnav_torch.reports.overview import Overview, draw_overview
 from ursnav_torch.vid import Vid
 
 Picture = NDArray[np.uint8]
+Figure = dict[str, str]
 
 _GREEN, _ORANGE = (60, 230, 60), (40, 160, 255)
-_STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1180px;color:#222}
-table{border-collapse:collapse;margin:1em 0}td,th{padding:.25em .7em;border-bottom:1px solid #ddd;text-align:left}
-figure{display:inline-block;margin:0 .6em .6em 0;vertical-align:top}figcaption{font-size:13px;color:#555}
-article{border-top:2px solid #888;padding:.6em 0 1em}img{display:block}
-.no{color:#a33}.unsure{color:#96640a}.yes{color:#17691f}
-details{margin:.3em 0}footer{color:#666;border-top:1px solid #ccc;margin-top:2em}
-"""
 
 
 @dataclass
@@ -36,50 +30,50 @@ class MatchReport:
         folder: where to write; it exists.
         vid: what was searched.
         title: headline.
-        entries: HTML of every picture, its ``row`` of the table and its ``article``.
+        entries: plain data of every picture: what `answer_words` gives, its ``figures``, and ``others`` (the next
+            candidates), each a ``file`` in the folder and a ``caption``.
     """
 
     folder: Path
     vid: Vid
     title: str = "Where these pictures were taken"
-    entries: list[dict[str, str]] = field(default_factory=list)
+    entries: list[dict[str, Any]] = field(default_factory=list)
     _outlook: tuple[Overview, Overview] | None = None
 
     def add(
         self, row: dict[str, Any], location: Location | None, image: Picture | None, truth: str | None = None
     ) -> None:
-        """One picture: its row of the CSV, its location (None when there is an error) and itself."""
-        number, name = len(self.entries), html.escape(str(row["image"]))
-        answer = _answer(location)
-        cells = "" if truth is None else f"<td>{html.escape(truth) or '(none)'}</td>"
-        detail = f"{location.confidence:.0%}" if location else html.escape(str(row.get("error", "")))
-        line = f'<tr><td><a href="#p{number}">{name}</a></td><td>{answer}</td>{cells}<td>{detail}</td></tr>'
+        """One picture: its row of the CSV, its location (None when there is an error) and itself.
+
+        ``truth`` is the true calyx's name, blank for a picture of none, None where it is not known.
+        """
+        number = len(self.entries)
         figures = [] if image is None else [self._figure(image, f"{number}_image", "picture")]
+        others: list[Figure] = []
         if location is not None and image is not None:
             figures += self._location_figures(number, image, location)
-        article = f'<article id="p{number}"><h3>{name}: {answer}</h3>{"".join(figures)}</article>'
-        self.entries.append({"row": line, "article": article})
+            others = self._candidate_figures(number, location)
+        self.entries.append(answer_words(row, truth) | {"figures": figures, "others": others})
 
-    def finish(self, summary: str) -> Path:
-        """Write the page; ``summary`` is a paragraph below the headline."""
-        head = "<tr><th>picture</th><th>calyx</th>" + ("<th>truth</th>" if "</td><td>" in self._truths() else "")
-        rows, articles = ("".join(entry[part] for entry in self.entries) for part in ("row", "article"))
-        page = (
-            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(self.title)}</title>'
-            f"<style>{_STYLE}</style><h1>{html.escape(self.title)}</h1><p>{html.escape(summary)}</p>"
-            f"<table>{head}<th>confidence</th></tr>{rows}</table>{articles}"
-            "<footer>Edges are green in the picture, orange in the view. Camera axes: x red, y green, z (viewing "
-            "direction) blue. Research software, not a medical device.</footer></html>"
+    def finish(self, searched: str) -> Path:
+        """Write the page; ``searched`` is the summary's first sentence: which pictures, in what."""
+        names = [c.name for c in self.vid.kidney.calyces]
+        groups = {"": "passage", **{name: f"c{i}" for i, name in enumerate(names)}}
+        entries = [e | {"group": groups.get(e["calyx"], "other") if e["located"] else ""} for e in self.entries]
+        page = render_page(
+            "matches.html.j2",
+            title=self.title,
+            summary=f"{searched} {summary_words(entries)}",
+            filters=filters_of(entries, groups),
+            entries=entries,
+            has_truth=any(e["truth_words"] for e in entries),
         )
         path = self.folder / "index.html"
         path.write_text(page, encoding="utf-8")
         return path
 
-    def _truths(self) -> str:
-        return "</td><td>" if self.entries and self.entries[0]["row"].count("<td>") == 4 else ""
-
-    def _location_figures(self, number: int, image: Picture, location: Location) -> list[str]:
-        best, *others = location.candidates
+    def _location_figures(self, number: int, image: Picture, location: Location) -> list[Figure]:
+        best = location.candidates[0]
         edges = draw_edges(image, location.features.edges, _GREEN)
         figures = [
             self._figure(edges, f"{number}_edges", f"its {len(location.features.edges)} edge points"),
@@ -89,22 +83,20 @@ class MatchReport:
             ),
         ]
         for k, overview in enumerate(self._overviews()):
-            fov = self.vid.camera.fov_deg or 90.0
-            drawn = overview.with_camera(location.T_kidney_camera, fov)
+            drawn = overview.with_camera(location.T_kidney_camera, self.vid.camera.fov_deg or 90.0)
             figures.append(self._figure(drawn, f"{number}_place{k}", "place, from the side" if k else "place"))
-        more = "".join(
-            self._figure(self._view(c.view), f"{number}_other{k}", f"{c.view}, {self._name(c.view)}: {c.distance:.3f}")
-            for k, c in enumerate(others)
-        )
-        return [*figures, f"<details><summary>next {len(others)} candidates</summary>{more}</details>"]
+        return figures
 
-    def _figure(self, picture: Picture, name: str, caption: str) -> str:
+    def _candidate_figures(self, number: int, location: Location) -> list[Figure]:
+        return [
+            self._figure(self._view(c.view), f"{number}_other{k}", f"{c.view}, {self._name(c.view)}: {c.distance:.3f}")
+            for k, c in enumerate(location.candidates[1:])
+        ]
+
+    def _figure(self, picture: Picture, name: str, caption: str) -> Figure:
         file = f"{name}.jpg"
         write_image(self.folder / file, picture, 88)
-        return (
-            f'<figure><img src="{file}" loading="lazy" alt="{html.escape(caption)}">'
-            f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-        )
+        return {"file": file, "caption": caption}
 
     def _overviews(self) -> tuple[Overview, Overview]:
         if self._outlook is None:
@@ -125,21 +117,10 @@ class MatchReport:
 
 
 def draw_edges(image: Picture, edges: EdgePoints, color: tuple[int, int, int]) -> Picture:
-    """A copy of a picture with its edge points as short strokes along the edge."""
+    """A copy of a picture (H, W) or (H, W, 3) with its edge points as short strokes along the edge."""
     out = image.copy() if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     along = np.stack([np.cos(edges.direction.numpy()), np.sin(edges.direction.numpy())], axis=1)
     for p, d in zip(edges.points.numpy(), along, strict=True):
         a, b = np.rint(p - 3 * d).astype(int), np.rint(p + 3 * d).astype(int)
         cv2.line(out, a.tolist(), b.tolist(), color, 1, cv2.LINE_AA)
     return np.asarray(out, np.uint8)
-
-
-def _answer(location: Location | None) -> str:
-    if location is None:
-        return '<span class="no">not located</span>'
-    name = html.escape(location.calyx_name) or "no calyx (passage)"
-    return (
-        f'<span class="yes">{name}</span>'
-        if location.accepted
-        else f'<span class="unsure">unsure, perhaps {name}</span>'
-    )

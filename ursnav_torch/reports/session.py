@@ -1,7 +1,5 @@
 """What a session was like, as one HTML file that needs nothing else: path, coverage, calyces, doubtful moments."""
 
-import base64
-import html
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from ursnav_torch.geometry import transform_from_quaternion
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
+from ursnav_torch.reports.html import inline_picture, render_page
 from ursnav_torch.reports.overview import draw_overview
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
@@ -35,12 +34,6 @@ STEP_MM, JUMP_MM = 0.5, 4.0
 MOMENTS_SHOWN = 12
 #: For a calyx's picture a mm farther from its tip costs as much as this much confidence.
 FAR_COSTS = 0.02
-_STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1080px;color:#222}
-table{border-collapse:collapse;margin:1em 0}td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:left}
-figure{display:inline-block;margin:0 .8em .8em 0;vertical-align:top}figcaption{font-size:13px;color:#555}
-img{display:block;max-width:100%}footer{color:#666;border-top:1px solid #ccc;margin-top:2em}
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,27 +113,40 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     for T, seconds in zip(figures.T_kidney_camera, passed, strict=True):
         coverage.add(T, float(seconds))
-    shown = figures.moments[:MOMENTS_SHOWN]
-    pictures = _frames(replay, {*figures.best.values(), *(m.frame for m in shown)})
-    parts = [
-        _summary(figures, len(vid.kidney.calyces)),
-        "<h2>Path</h2>",
-        *(_figure(_path_picture(vid, figures, side), "from the side" if side else "from the front") for side in (0, 1)),
-        "<h2>What was seen</h2>",
-        _figure(draw_coverage(coverage), "seen green, not seen red, out of reach gray"),
-        "<h2>Calyces</h2>",
-        _calyces(coverage, figures, pictures),
-        "<h2>Doubtful moments</h2>",
-        _moments(figures.moments, shown, pictures),
-    ]
+    page = render_page(
+        "session.html.j2",
+        title="Session",
+        summary=_summary(figures, len(vid.kidney.calyces)),
+        path=[inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
+        coverage=inline_picture(draw_coverage(coverage)),
+        **_details(figures, coverage, replay),
+    )
     with whole_file(path) as partial:
-        partial.write_text(
-            '<!doctype html><html lang="en"><meta charset="utf-8"><title>Session</title>'
-            f"<style>{_STYLE}</style><h1>Session</h1>{''.join(parts)}<footer>Research software, not a medical device."
-            "</footer></html>",
-            encoding="utf-8",
-        )
+        partial.write_text(page, encoding="utf-8")
     return path
+
+
+def _details(figures: SessionFigures, coverage: Coverage, replay: Replay) -> dict[str, Any]:
+    """What the page says and shows of every calyx and of the doubtful moments."""
+    shown = figures.moments[:MOMENTS_SHOWN]
+    frames = _frames(replay, {*figures.best.values(), *(m.frame for m in shown)})
+    pictures = {number: inline_picture(picture) for number, picture in frames.items()}
+    calyces = [
+        {
+            "name": c.calyx,
+            "pole": c.pole,
+            "verdict": c.verdict,
+            "share": f"{c.share:.0%}",
+            "time": f"{figures.time_in_s.get(c.calyx, 0.0):.1f} s",
+            "frame": figures.best.get(c.calyx, -1),
+            "picture": pictures.get(figures.best.get(c.calyx, -1)),
+        }
+        for c in coverage.calyces()
+    ]
+    moments = [{"words": f"{m.from_s:.1f} to {m.to_s:.1f} s: {m.why}", "picture": pictures.get(m.frame)} for m in shown]
+    more = len(figures.moments) - len(shown)
+    doubt = {"doubt": confidence_words(DOUBT), "doubt_s": DOUBT_S}
+    return {"calyces": calyces, "moments": moments, "more": more, **doubt}
 
 
 def _poses(rows: list[dict[str, Any]]) -> Array:
@@ -198,10 +204,10 @@ def _frames(replay: Replay, numbers: set[int]) -> dict[int, Picture]:
     return found
 
 
-def _summary(figures: SessionFigures, calyces: int) -> str:
+def _summary(figures: SessionFigures, calyces: int) -> dict[str, str]:
     seconds = float(figures.t_s[-1]) if len(figures.t_s) else 0.0
     tracked = figures.believed.mean() if len(figures.believed) else 0.0
-    rows = {
+    return {
         "duration": f"{seconds:.0f} s",
         "pictures located": f"{len(figures.t_s)}, {tracked:.0%} of them with a place that was believed",
         "calyces looked into": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
@@ -209,12 +215,11 @@ def _summary(figures: SessionFigures, calyces: int) -> str:
         "picture to pose": f"{figures.latency_ms[0]:.0f} ms median, {figures.latency_ms[1]:.0f} ms 95th percentile",
         "doubtful moments": f"{len(figures.moments)}, {sum(m.to_s - m.from_s for m in figures.moments):.0f} s in all",
     }
-    return f"<table>{''.join(f'<tr><th>{k}</th><td>{v}</td></tr>' for k, v in rows.items())}</table>"
 
 
-def _path_picture(vid: Vid, figures: SessionFigures, from_side: int) -> Picture:
+def _path_picture(vid: Vid, figures: SessionFigures, from_side: bool) -> Picture:
     """The kidney with the path, blue at its beginning and red at its end."""
-    overview = draw_overview(vid.kidney, 480, bool(from_side))
+    overview = draw_overview(vid.kidney, 480, from_side)
     picture, points = overview.picture.copy(), figures.T_kidney_camera[:, :3, 3]
     at = np.rint(8 * overview.project(points)).astype(int) if len(points) else np.zeros((0, 2), int)
     hues = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
@@ -223,35 +228,3 @@ def _path_picture(vid: Vid, figures: SessionFigures, from_side: int) -> Picture:
             color = hues[20 + 215 * i // len(at)].tolist()
             cv2.line(picture, at[i - 1].tolist(), at[i].tolist(), color, 1, cv2.LINE_AA, 3)
     return np.asarray(picture, np.uint8)
-
-
-def _calyces(coverage: Coverage, figures: SessionFigures, pictures: dict[int, Picture]) -> str:
-    rows, shown = [], []
-    for c in coverage.calyces():
-        name, number = html.escape(c.calyx), figures.best.get(c.calyx, -1)
-        rows.append(
-            f"<tr><th>{name}</th><td>{html.escape(c.pole)}</td><td>{c.verdict}</td><td>{c.share:.0%}</td>"
-            f"<td>{figures.time_in_s.get(c.calyx, 0.0):.1f} s</td></tr>"
-        )
-        if number in pictures:
-            shown.append(_figure(pictures[number], f"{name}: picture {number}"))
-    head = "<tr><th>calyx</th><th>pole</th><th>verdict</th><th>wall seen</th><th>time in it</th></tr>"
-    return f"<table>{head}{''.join(rows)}</table>{''.join(shown)}"
-
-
-def _moments(moments: list[Moment], shown: list[Moment], pictures: dict[int, Picture]) -> str:
-    if not moments:
-        return "<p>None.</p>"
-    figures = [
-        _figure(pictures[m.frame], f"{m.from_s:.1f} to {m.to_s:.1f} s: {m.why}") for m in shown if m.frame in pictures
-    ]
-    more = f"<p>{len(moments) - len(shown)} more are not shown.</p>" if len(moments) > len(shown) else ""
-    words = f"Without a place, or less than {confidence_words(DOUBT)} of it, for {DOUBT_S} s or more."
-    return f"<p>{words}</p>{''.join(figures)}{more}"
-
-
-def _figure(picture: Picture, caption: str) -> str:
-    """A picture inside the page."""
-    data = base64.b64encode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()).decode()
-    text = html.escape(caption, quote=True)
-    return f'<figure><img src="data:image/jpeg;base64,{data}" alt="{text}"><figcaption>{text}</figcaption></figure>'
