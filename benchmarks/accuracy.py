@@ -35,9 +35,10 @@ from benchmarks._statistics import auroc, calibration_error, wilson
 from ursnav_torch.errors import FeatureError, MissingExtraError, UrsnavError
 from ursnav_torch.features import ThesisSettings, read_image
 from ursnav_torch.geometry import angle_between
-from ursnav_torch.localization import LocalizationSettings, Localizer, default_matching
+from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.matching import Matching, OpenCV, PairCost
 from ursnav_torch.rendering import FlatLight
+from ursnav_torch.search import SearchSettings, default_matching
 from ursnav_torch.vid import PlanSettings, Vid
 
 DEFAULTS = {"data": "", "work": "", "out": "", "rivals": True}
@@ -65,11 +66,11 @@ class Answer:
 Method = Callable[[Vid], Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]]
 
 
-def ours(settings: LocalizationSettings | None = None, matching: Matching | None = None) -> Method:
+def ours(search: SearchSettings | None = None, matching: Matching | None = None, refine: bool = False) -> Method:
     """A choice of our own settings."""
 
     def prepare(vid: Vid) -> Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]:
-        localizer = Localizer(vid, matching, settings or LocalizationSettings(refine=False))
+        localizer = Localizer(vid, matching, LocalizationSettings(refine=refine), search)
 
         def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:
             found = localizer.locate(image)
@@ -111,9 +112,9 @@ def keypoints(detector: cv2.Feature2D, norm: int) -> Method:
 
 def parts_left_out() -> dict[str, Method]:
     """The default, and the default with each part left out in turn."""
-    s, m = LocalizationSettings(refine=False), default_matching()
+    s, m = SearchSettings(), default_matching()
     return {
-        "default, refined": ours(LocalizationSettings()),
+        "default, refined": ours(refine=True),
         "default": ours(),
         "edges and shape alone": ours(replace(s, relief_weight=0.0)),
         "without edge-direction maps": ours(replace(s, direction_weight=0.0)),

@@ -1,4 +1,4 @@
-"""Whether a kidney is known from another: what pictures say of it, and the weights that `TrackSettings` has.
+"""Whether a kidney is known from another: what pictures say of it, and the weights that `OwnKidneySettings` has.
 
     python -m benchmarks.own_kidney                        # 8 phantoms; a quarter of an hour
     python -m benchmarks.own_kidney phantoms=4 work=DIR    # VIDs are kept there
@@ -26,7 +26,7 @@ from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
-from ursnav_torch.tracking.place_search import TrackSettings
+from ursnav_torch.tracking.settings import OwnKidneySettings
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 
@@ -116,7 +116,7 @@ def _fit(report: Report, flights: list[Flight]) -> None:
     sign, weight = np.where(y, 1.0, -1.0), np.where(y, 0.5 / y.mean(), 0.5 / (1 - y.mean()))
     found = minimize(lambda w: float((weight * np.logaddexp(0, -sign * (x @ w))).mean()), np.zeros(4)).x
     found[0] += IN_FAVOR
-    used = TrackSettings().own_kidney
+    used = OwnKidneySettings().weights
     for name, weights in (("fitted", found.tolist()), ("in use", list(used))):
         rank = rankdata(x @ np.array(weights))
         auroc = (rank[y].sum() - y.sum() * (y.sum() + 1) / 2) / (y.sum() * (~y).sum())

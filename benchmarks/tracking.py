@@ -36,7 +36,7 @@ from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.runs.sources import open_source
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 

@@ -19,12 +19,13 @@ def main(config: Any) -> int:
     out = caller_path(config.out)
     check_output(out, config.overwrite)
     matching, localization = instantiate(config.matching), instantiate(config.localization)
+    search = instantiate(config.search)
     pipeline = Pipeline(
         instantiate(config.camera),
         instantiate(config.features),
         instantiate(config.rendering),
         instantiate(config.views),
-        lambda vid: Localizer(vid, matching, localization),
+        lambda vid: Localizer(vid, matching, localization, search),
         config.calibrate,
         config.workers,
     )

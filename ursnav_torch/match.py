@@ -19,7 +19,9 @@ def main(config: Any) -> int:
     vid = load_vid(caller_path(config.vid))
     if config.camera:
         vid.check_lens(instantiate(config.camera))
-    localizer = Localizer(vid, instantiate(config.matching), instantiate(config.localization))
+    localizer = Localizer(
+        vid, instantiate(config.matching), instantiate(config.localization), instantiate(config.search)
+    )
     rows = match_images(localizer, str(caller_path(config.images)), out, report, config.overwrite, progress)
     wrong = sum(1 for row in rows if row.get("error"))
     unsure = sum(1 for row in rows if row.get("accepted") is False)

@@ -73,9 +73,10 @@ def test_a_refined_pose_that_fits_badly_is_met_halfway_by_the_views_own(vid: Vid
     def pose(**settings: float) -> np.ndarray:
         return Localizer(vid, settings=LocalizationSettings(**settings)).locate(picture).T_kidney_camera[:3, 3]
 
-    views, sure = pose(refine=False), pose(believe_refined=-1.0, sure_refined=-1.0)
+    views, sure = pose(refine=False), pose(min_score_to_override_calyx=-1.0, min_score_to_replace_mean=-1.0)
     assert not np.allclose(views, sure)
-    for doubtful in (pose(sure_refined=1.1), pose(believe_refined=1.1, sure_refined=1.1)):
+    neither = {"min_score_to_override_calyx": 1.1, "min_score_to_replace_mean": 1.1}
+    for doubtful in (pose(min_score_to_replace_mean=1.1), pose(**neither)):
         np.testing.assert_allclose(doubtful, (views + sure) / 2, atol=1e-6)
 
 

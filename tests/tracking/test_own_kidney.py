@@ -1,13 +1,13 @@
 import numpy as np
 
 from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
-from ursnav_torch.tracking.place_search import TrackSettings
+from ursnav_torch.tracking.settings import OwnKidneySettings
 
 GOOD, BAD = Evidence(0.8, 0.3, 1.5), Evidence(0.4, -0.1, 1.2)
 
 
 def after(evidence: Evidence, pictures: int, seconds: float = 0.1) -> OwnKidneyTest:
-    test = OwnKidneyTest(TrackSettings())
+    test = OwnKidneyTest(OwnKidneySettings())
     for _ in range(pictures):
         test.add(evidence, seconds)
     return test
@@ -34,7 +34,7 @@ def test_what_counts_is_time_not_pictures() -> None:
 
 def test_every_kind_of_evidence_counts_its_way() -> None:
     def odds(score: float = 0.5, lead: float = 0.0, fit: float = 1.2, off: float | None = None) -> float:
-        return Evidence(score, lead, fit, off).log_odds(TrackSettings())
+        return Evidence(score, lead, fit, off).log_odds(OwnKidneySettings())
 
     assert odds(score=0.52) > odds() > odds(score=0.48)
     assert odds(lead=0.1) > odds() > odds(lead=-0.05)

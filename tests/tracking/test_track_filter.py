@@ -13,7 +13,8 @@ from ursnav_torch.features import ThesisSettings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.tracking.place_search import SensorReading, TrackSettings
+from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.tracking.settings import FilterSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
 
@@ -92,7 +93,7 @@ def test_what_motion_forbids_is_held_against_a_pose(fresh: Tracker, phantom: Kid
     assert not fresh._expected(0.1, None)(poses).any()  # before the first picture nothing is known
     follow(fresh, renderer, poses)
     near, far, elsewhere = fresh._expected(0.1, None)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
-    assert near == 0.0 > far > elsewhere >= -fresh.settings.better_by
+    assert near == 0.0 > far > elsewhere >= -fresh.settings.challenger.score_step
     sensor = SensorReading(poses[-8, :3, 3], np.zeros(3), 0.5)
     told = fresh._expected(0.1, sensor)(np.stack([poses[-1], poses[-8]]))
     assert told[1] > told[0]
@@ -124,5 +125,5 @@ def test_features_without_maps_are_refused(phantom: Kidney, lens: Camera, plan: 
 
 
 def test_impossible_settings_are_refused() -> None:
-    with pytest.raises(InputError, match="newcomers < hypotheses"):
-        TrackSettings(newcomers=100)
+    with pytest.raises(InputError, match="best_fitting < hypotheses"):
+        FilterSettings(best_fitting=100)

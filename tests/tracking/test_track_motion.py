@@ -5,6 +5,7 @@ import pytest
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
+from ursnav_torch.scaling import scaled
 from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
 from ursnav_torch.tracking.smooth import PoseFilter, SmoothSettings
 
@@ -18,7 +19,7 @@ def here(to_tips: list[float]) -> Hypotheses:
 
 
 def log(T: list[np.ndarray], to_tips: list[list[float]], seconds: float = 0.1, unit: float = 1.0) -> np.ndarray:
-    return transition(here([10.0]), np.array(T), np.array(to_tips), seconds, MotionSettings(), unit)
+    return transition(here([10.0]), np.array(T), np.array(to_tips), seconds, scaled(MotionSettings(), unit))
 
 
 def test_the_farther_and_the_more_turned_the_less_probable() -> None:
@@ -39,8 +40,8 @@ def test_more_time_lets_the_scope_go_farther_and_jumps_are_never_impossible() ->
 
 
 def test_a_larger_phantom_is_larger_in_every_step() -> None:
-    once = transition(here([10.0]), at(1)[None], np.array([[11.0]]), 0.1, MotionSettings(), 1.0)
-    twice = transition(here([20.0]), at(2)[None], np.array([[22.0]]), 0.1, MotionSettings(), 2.0)
+    once = transition(here([10.0]), at(1)[None], np.array([[11.0]]), 0.1, MotionSettings())
+    twice = transition(here([20.0]), at(2)[None], np.array([[22.0]]), 0.1, scaled(MotionSettings(), 2.0))
     np.testing.assert_allclose(once, twice)
 
 

@@ -13,7 +13,7 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways, join
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth import SmoothSettings
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
@@ -164,7 +164,7 @@ def test_a_smoothed_stretch_is_steadier_and_fills_its_gaps() -> None:
     noisy = true.copy()
     noisy[:, :3, 3] += rng.normal(0, 0.35, (40, 3))
     measured = [None if 15 <= i < 20 else Measured(T, 0.75) for i, T in enumerate(noisy)]
-    smooth = np.array(smooth_stretch(measured, t_s.tolist(), SmoothSettings(), 1.0))
+    smooth = np.array(smooth_stretch(measured, t_s.tolist(), SmoothSettings()))
     error = np.linalg.norm(smooth[:, :3, 3] - true[:, :3, 3], axis=1)
     assert np.median(error) < 0.6 * np.median(np.linalg.norm(noisy[:, :3, 3] - true[:, :3, 3], axis=1))
     assert error[15:20].max() < 1.0
@@ -178,5 +178,5 @@ def test_a_position_known_besides_draws_the_track_to_it() -> None:
     plain = [Measured(T, 0.6)] * 5
     drawn = [Measured(T, 0.6, ((np.array([1.0, 0, 0]), 0.2),))] * 5
     t_s = [i / 10 for i in range(5)]
-    alone, with_it = (smooth_stretch(m, t_s, SmoothSettings(), 1.0)[2][0, 3] for m in (plain, drawn))
+    alone, with_it = (smooth_stretch(m, t_s, SmoothSettings())[2][0, 3] for m in (plain, drawn))
     assert alone == pytest.approx(0.0) and 0.7 < with_it < 1.0

@@ -15,7 +15,7 @@ from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradie
 from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
 from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.polar import polar_grid, polar_maps
-from ursnav_torch.features.sampling import sample
+from ursnav_torch.features.sampling import check_method, sample
 
 #: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
 COARSE = 0.024
@@ -50,6 +50,7 @@ class DefaultSettings:
     min_points: int = 10
 
     def __post_init__(self) -> None:
+        check_method(self.sampling)
         object.__setattr__(self, "edge_blurs", tuple(float(b) for b in self.edge_blurs))
         if not 4 <= self.min_points <= self.points or self.working_px < 32 or not 0 <= self.low <= self.high <= 100:
             raise InputError(

@@ -57,6 +57,16 @@ def sample(points: ArrayLike, n: int, method: str = "uniform", weights: ArrayLik
     return np.sort(order[_evenly(mass, n)])
 
 
+def check_method(method: str) -> None:
+    """Refuse a way of sampling that does not exist, so that settings can do so before any work.
+
+    Raises:
+        InputError: naming those that do.
+    """
+    if method not in METHODS:
+        raise InputError(f"sampling is {method!r}; accepted are {', '.join(map(repr, METHODS))}.")
+
+
 def _checked(
     points: ArrayLike, n: int, method: str, weights: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -67,8 +77,7 @@ def _checked(
         raise ShapeError(f"Expected points (N, 2) and weights (N,), got {p.shape} and {w.shape}.")
     if n < 1:
         raise InputError(f"n must be at least 1, got {n}.")
-    if method not in METHODS:
-        raise InputError(f"method is {method!r}; accepted are {', '.join(map(repr, METHODS))}.")
+    check_method(method)
     if w.size and not w.min() >= 0:
         raise InputError(f"Weights must be >= 0, found {w.min()}.")
     return p, w + 1e-9 * max(w.max(initial=0), 1)

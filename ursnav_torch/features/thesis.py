@@ -19,7 +19,7 @@ from ursnav_torch.features.base import NO_MAPS, Features
 from ursnav_torch.features.default import refuse_blank
 from ursnav_torch.features.edges import edge_points, gradient
 from ursnav_torch.features.image import check_image
-from ursnav_torch.features.sampling import sample
+from ursnav_torch.features.sampling import check_method, sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +48,7 @@ class ThesisSettings:
     min_points: int = 10
 
     def __post_init__(self) -> None:
+        check_method(self.sampling)
         if not 4 <= self.min_points <= self.points or self.blur_px <= 0 or self.stripe_rows < 1:
             raise InputError(
                 "The thesis's features need 4 <= min_points <= points, blur_px > 0 and stripe_rows >= 1; got "

@@ -4,7 +4,8 @@ from ursnav_torch.localization.ambiguity import LookAlikes, find_look_alikes
 from ursnav_torch.localization.answers import Candidate, Location
 from ursnav_torch.localization.learn import Query, learn_confidence, simulated_queries
 from ursnav_torch.localization.locate import Localizer
-from ursnav_torch.localization.settings import LocalizationSettings, default_matching
+from ursnav_torch.localization.settings import LocalizationSettings
+from ursnav_torch.search import SearchSettings, default_matching
 
 __all__ = [
     "Candidate",
@@ -13,6 +14,7 @@ __all__ = [
     "Location",
     "LookAlikes",
     "Query",
+    "SearchSettings",
     "default_matching",
     "find_look_alikes",
     "learn_confidence",

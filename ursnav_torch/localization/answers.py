@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ursnav_torch.alignment import Refined
 from ursnav_torch.features import Features
+from ursnav_torch.search import Ranking
 
 Array = NDArray[np.float64]
 
@@ -57,27 +57,11 @@ class Location:
 
 
 @dataclass(frozen=True, slots=True)
-class Ranking:
-    """Distances of a picture to the VID.
-
-    Attributes:
-        views: (K,) views compared, best first.
-        distance: (K,) ascending.
-        R_view_query: (K, 3, 3) how the picture's camera is turned against each view's.
-    """
-
-    views: Tensor
-    distance: Tensor
-    R_view_query: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Judgement:
     """What a picture's features say.
 
     Attributes:
-        ranking: the nearest views.
-        poses: (K, 4, 4) the picture's pose as each of them has it.
+        ranking: the nearest views, and the picture's pose as each of them has it.
         calyces: (K,) calyx observed from there, -1 for none.
         calyx: the answer.
         voted: the calyx that the nearest views vote for.
@@ -87,8 +71,7 @@ class Judgement:
     """
 
     ranking: Ranking
-    poses: Array
-    calyces: Tensor
+    calyces: NDArray[np.int64]
     calyx: int
     voted: int
     numbers: Array

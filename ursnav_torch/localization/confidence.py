@@ -5,10 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from torch import Tensor
 
 from ursnav_torch.features import Features
 
@@ -46,17 +44,22 @@ class Evidence:
         return np.array([self.distance, min(self.margin, 0.15), odds, self.contrast, self.grain])
 
 
-def evidence(distance: Tensor, calyx: Tensor, features: Features) -> Evidence:
+def evidence(distance: Array, calyx: NDArray[np.int64], features: Features) -> Evidence:
     """`Evidence` of a picture's views, with distances (K,) ascending, from which it observes calyces (K,)."""
-    weight = torch.exp(-(distance - distance[0]) / VOTE_WIDTH)
-    names, row = calyx.unique(return_inverse=True)
-    votes = torch.zeros(len(names)).index_add_(0, row, weight)
+    weight = vote_weight(distance, float(distance[0]))
+    names, row = np.unique(calyx, return_inverse=True)
+    votes = np.bincount(row, weight)
     best = int(votes.argmax())
     own, other = distance[row == best], distance[row != best]
     margin = float(other[0] - own[0]) if len(other) else 1.0
     return Evidence(
         int(names[best]), float(own[0]), margin, float(votes[best] / votes.sum()), features.contrast, features.grain
     )
+
+
+def vote_weight(distance: Array, best: float) -> Array:
+    """What views at distances (K,) count beside one at the distance ``best``: 1 to e for every `VOTE_WIDTH`."""
+    return np.exp((best - distance) / VOTE_WIDTH)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,30 +1,30 @@
-"""From one picture to a place: scan at every roll, compare shapes, weigh, decide."""
+"""From one picture to a place: search the VID, refine the best hypotheses, weigh, decide."""
 
 import time
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from ursnav_torch.alignment import Refiner
-from ursnav_torch.features import Features, polar_grid, polar_maps
-from ursnav_torch.geometry import angle_between, rotation_angle, transform_from
-from ursnav_torch.kidney import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
-from ursnav_torch.localization.answers import Candidate, Judgement, Location, Ranking
-from ursnav_torch.localization.confidence import VOTE_WIDTH, Confidence, evidence
-from ursnav_torch.localization.settings import LocalizationSettings, default_matching
+from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.features import Features
+from ursnav_torch.geometry import rotation_angle
+from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.localization.answers import Candidate, Judgement, Location
+from ursnav_torch.localization.confidence import Confidence, evidence, vote_weight
+from ursnav_torch.localization.settings import LocalizationSettings
 from ursnav_torch.matching import Matching
-from ursnav_torch.search.pose_mean import NEAR_MM, mean_pose
-from ursnav_torch.search.scan import RollScan, tilts
-from ursnav_torch.search.shape import ShapeStage
+from ursnav_torch.search import Ranking, SearchSettings, ViewSearch
+from ursnav_torch.search.pose_mean import NEAR_MM, are_near, mean_pose
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
-#: A refined pose that observes another calyx than the views vote for must fit by so much better to be believed.
-CONTRADICTION = 0.1
+#: Hypotheses nearer to each other than both of these are one start for refinement; mm at the kidney's scale 1, degrees.
+SAME_START_MM, SAME_START_DEG = 1.5, 20.0
+#: A turn by one degree moves a wall about 9 mm away by as much as this shift does, mm at the kidney's scale 1.
+MM_PER_DEG = 0.15
 
 
 class Localizer:
@@ -32,8 +32,10 @@ class Localizer:
 
     Args:
         vid: the views.
-        matching: how shapes are compared; `default_matching` when None.
-        settings: how the comparison is weighed.
+        matching: how shapes are compared; `search.default_matching` when None.
+        settings: how the place is decided.
+        search: how the VID is searched.
+        alignment: how poses are refined.
 
     Example:
         >>> un.Localizer(un.load_vid("my_vid")).locate(image).calyx_name  # doctest: +SKIP
@@ -41,30 +43,30 @@ class Localizer:
     """
 
     def __init__(
-        self, vid: Vid, matching: Matching | None = None, settings: LocalizationSettings | None = None
+        self,
+        vid: Vid,
+        matching: Matching | None = None,
+        settings: LocalizationSettings | None = None,
+        search: SearchSettings | None = None,
+        alignment: RefinementSettings | None = None,
     ) -> None:
         self.vid, self.settings = vid, settings or LocalizationSettings()
         self._extractor = vid.extractor()
-        self.matching = matching or default_matching()
-        self._shape = ShapeStage(vid.features, vid.camera, self.matching)
+        self.search = ViewSearch(vid, search, matching, self._extractor.working_camera)
         self._lumen = LumenDistance.from_kidney(vid.kidney)
-        self._near = self._lumen.to_calyces(vid.T_kidney_camera[:, :3, 3]) <= OBSERVED_WITHIN_MM * vid.kidney.scale
         able = self.settings.refine and vid.features.maps.shape[1] > 0
-        self._refiner = Refiner(vid, lumen=self._lumen) if able else None
+        self._refiner = Refiner(vid, alignment, self._lumen) if able else None
         self._confidence = Confidence.from_calibration(vid.calibration, able)
-        s, channels = self.settings, vid.features.maps.shape[1]
-        self._scan: RollScan | None = None
-        if channels and s.relief_weight + s.direction_weight > 0:
-            weight = torch.full((channels,), s.direction_weight * 2 / max(channels - 1, 1))
-            weight[0] = s.relief_weight
-            self._scan = RollScan(vid.features.maps, weight)
-        self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
-        self._grids = polar_grid(self._extractor.working_camera, self._tilts)
 
     @property
     def refines(self) -> bool:
         """Whether poses are refined: asked for, and possible with this VID's features."""
         return self._refiner is not None
+
+    def described(self) -> str:
+        """All settings in one line: two localizers of one VID that say the same give the same answers."""
+        alignment = self._refiner.settings if self._refiner else None
+        return f"{self.search.matching} {self.search.settings} {self.settings} {alignment}"
 
     def locate(self, image: NDArray[np.uint8]) -> Location:
         """The place of a picture (H, W) or (H, W, 3) blue, green, red, uint8, taken through the VID's lens.
@@ -78,15 +80,16 @@ class Localizer:
             features = self.features(image)
             found = self.judge(features)
         confidence = self._confidence.probability(found.numbers)
-        rows = self._best(found)
+        rows, ranking = self._candidate_rows(found), found.ranking
+        distance = ranking.distance
         candidates = tuple(
-            Candidate(int(found.ranking.views[i]), float(found.ranking.distance[i]), found.poses[i]) for i in rows
+            Candidate(int(ranking.views[i]), float(distance[i]), ranking.T_kidney_camera[i]) for i in rows
         )
         best = candidates[0]
         return Location(
             found.calyx,
             self.vid.calyx_name(found.calyx),
-            self._settled(found, rows[0]),
+            self._fused_pose(found, rows[0]),
             best.view,
             best.distance,
             confidence,
@@ -98,104 +101,60 @@ class Localizer:
 
     def judge(self, features: Features) -> Judgement:
         """What a picture's features say, before anyone asks how sure that is."""
-        ranking = self.rank(features)
-        poses, calyces = self._poses(ranking), self.calyces(ranking)
+        ranking = self.search.rank(features)
+        calyces = observed_calyx(ranking.T_kidney_camera, self.vid.kidney, self._lumen)
         seen = evidence(ranking.distance, calyces, features)
         if self._refiner is None:
-            return Judgement(ranking, poses, calyces, seen.calyx, seen.calyx, seen.numbers(), None, False)
-        rows = _apart(poses, self._refiner.settings.hypotheses)
-        refined = self._refiner.refine(features, [self._mean(poses, ranking.distance, i) for i in rows])
+            return Judgement(ranking, calyces, seen.calyx, seen.calyx, seen.numbers(), None, False)
+        starts = self._distinct(ranking.T_kidney_camera, self._refiner.settings.hypotheses)
+        refined = self._refiner.refine(features, [self._mean_of_views(ranking, i) for i in starts])
         calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
-        needed = self.settings.believe_refined + (CONTRADICTION if calyx != seen.calyx else 0.0)
+        s = self.settings
+        needed = s.min_score_to_override_calyx + (s.override_margin if calyx != seen.calyx else 0.0)
         believed = refined.score >= needed
         answer = calyx if believed else seen.calyx
-        return Judgement(ranking, poses, calyces, answer, seen.calyx, numbers, refined, believed)
+        return Judgement(ranking, calyces, answer, seen.calyx, numbers, refined, believed)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture, as `locate` extracts them; the same errors."""
         with one_thread_an_operation():
             return self._extractor.extract(image)
 
-    def calyces(self, ranking: Ranking) -> Tensor:
-        """Calyx indices (K,) that the picture's camera observes from where each ranked view has it, -1 for none.
+    def _mean_of_views(self, ranking: Ranking, row: int) -> Array:
+        """The weighted mean (4, 4) of the hypotheses at the place of one of them, weighted as their views vote."""
+        distance = ranking.distance
+        weight = vote_weight(distance, float(distance[row]))
+        return mean_pose(ranking.T_kidney_camera, weight, row, NEAR_MM * self.vid.kidney.scale)[0]
 
-        The rule of `kidney.observed_calyx`, with the distances along the lumen of the views' own places.
-        """
-        T = self._poses(ranking)
-        angle = angle_between(self.vid.kidney.tips_mm[None] - T[:, None, :3, 3], T[:, None, :3, 2])
-        near = self._near[ranking.views.numpy()]
-        return torch.from_numpy(np.where(near.any(1), np.where(near, angle, np.inf).argmin(1), -1))
-
-    def rank(self, features: Features) -> Ranking:
-        """The VID's nearest views to a picture's features."""
-        s = self.settings
-        if self._scan is None or not features.maps.numel():
-            distance = self._shape.everywhere(features.edges)
-            views = distance.topk(min(s.candidates, len(distance)), largest=False).indices
-            return Ranking(views, distance[views], np.broadcast_to(np.eye(3), (len(views), 3, 3)))
-        straight = self._scan.scan(features.maps[None])
-        views = straight.score.topk(min(s.tilted, len(straight.score))).indices
-        scan = self._scan.scan(polar_maps(features.fields, self._grids), views)
-        best = scan.score.topk(min(s.candidates, len(views))).indices
-        views, R = views[best], self._turns(scan.tilt[best], scan.roll[best])
-        maps_weight = s.relief_weight + s.direction_weight
-        distance = maps_weight - scan.score[best]
-        if s.shape_weight > 0:
-            distance = distance + s.shape_weight * self._shape.turned(features.edges, views, R)
-        distance, order = (distance / (maps_weight + s.shape_weight)).sort()
-        return Ranking(views[order], distance, R[order.numpy()])
-
-    def _turns(self, tilt: Tensor, roll: Tensor) -> Array:
-        """Rotations (K, 3, 3) R_view_query: how the query's camera is turned against each view's."""
-        return _roll_matrices(roll.numpy()) @ np.swapaxes(self._tilts[tilt.numpy()], 1, 2)
-
-    def _mean(self, poses: Array, distance: Tensor, row: int) -> Array:
-        """The mean (4, 4) of poses (K, 4, 4) at the place of one of them, weighted as their views vote."""
-        weight = np.exp((float(distance[row]) - distance.numpy().astype(float)) / VOTE_WIDTH)
-        return mean_pose(poses, weight, row, NEAR_MM * self.vid.kidney.scale)[0]
-
-    def _settled(self, found: Judgement, row: int) -> Array:
+    def _fused_pose(self, found: Judgement, row: int) -> Array:
         """The answer's pose (4, 4), from the refined one and the views' mean at the place of one of them."""
-        views, refined = self._mean(found.poses, found.ranking.distance, row), found.refined
+        views, refined = self._mean_of_views(found.ranking, row), found.refined
         if refined is None:
             return views
-        if found.believed and refined.score >= self.settings.sure_refined:
+        if found.believed and refined.score >= self.settings.min_score_to_replace_mean:
             return refined.T_kidney_camera
         both = np.stack([views, refined.T_kidney_camera])
         return mean_pose(both, np.ones(2), int(found.believed), NEAR_MM * self.vid.kidney.scale)[0]
 
-    def _best(self, found: Judgement) -> list[int]:
+    def _candidate_rows(self, found: Judgement) -> list[int]:
         """Rows of the ranking to name: first the nearest to the refined pose or the best of the calyx, then by rank."""
+        T = found.ranking.T_kidney_camera
         if found.refined is not None and found.believed:
-            away = np.linalg.norm(found.poses[:, :3, 3] - found.refined.T_kidney_camera[:3, 3], axis=1)
-            first = int((away + 0.15 * np.degrees(rotation_angle(found.poses, found.refined.T_kidney_camera))).argmin())
+            away = np.linalg.norm(T[:, :3, 3] - found.refined.T_kidney_camera[:3, 3], axis=1)
+            turned = np.degrees(rotation_angle(T, found.refined.T_kidney_camera))
+            first = int((away + MM_PER_DEG * self.vid.kidney.scale * turned).argmin())
         else:
-            first = int((found.calyces == found.calyx).nonzero()[0])
-        return [first, *[i for i in range(len(found.poses)) if i != first]][: self.settings.keep]
+            first = int((found.calyces == found.calyx).argmax())
+        return [first, *[i for i in range(len(T)) if i != first]][: self.settings.keep]
 
-    def _poses(self, ranking: Ranking) -> Array:
-        """T_kidney_camera (K, 4, 4) of the picture, from each ranked view."""
-        return self.vid.T_kidney_camera[ranking.views.numpy()] @ transform_from(ranking.R_view_query, np.zeros(3))
-
-
-def _apart(poses: Array, most: int) -> list[int]:
-    """Rows of poses (K, 4, 4), best first, that differ by 1.5 mm or 20 degrees from all before: what to refine."""
-    rows: list[int] = []
-    for i, T in enumerate(poses):
-        near = [
-            np.linalg.norm(poses[j, :3, 3] - T[:3, 3]) < 1.5 and rotation_angle(poses[j], T) < np.radians(20)
-            for j in rows
-        ]
-        if not any(near):
-            rows.append(i)
-        if len(rows) == most:
-            break
-    return rows
-
-
-def _roll_matrices(roll: NDArray[np.float32]) -> Array:
-    """Rotations (K, 3, 3) about the optical axis by angles (K,) in radians, x towards y."""
-    c, s, zero, one = np.cos(roll), np.sin(roll), np.zeros(len(roll)), np.ones(len(roll))
-    rows = [np.stack(row, -1) for row in ([c, -s, zero], [s, c, zero], [zero, zero, one])]
-    return np.stack(rows, axis=1).astype(float)
+    def _distinct(self, T_kidney_camera: Array, most: int) -> list[int]:
+        """Rows of poses (K, 4, 4), best first, that are no one start with any before: what to refine."""
+        rows: list[int] = []
+        for i, T in enumerate(T_kidney_camera):
+            near = are_near(T_kidney_camera[rows], T, SAME_START_MM * self.vid.kidney.scale, SAME_START_DEG)
+            if not near.any():
+                rows.append(i)
+            if len(rows) == most:
+                break
+        return rows

@@ -7,7 +7,7 @@ from ursnav_torch.matching.directions import estimate_directions
 from ursnav_torch.matching.distances import shape_distances
 from ursnav_torch.matching.hungarian import Hungarian
 from ursnav_torch.matching.matcher import Matcher, Matching
-from ursnav_torch.matching.methods import Correspondences
+from ursnav_torch.matching.methods import Assignment, Correspondences
 from ursnav_torch.matching.nearest import Nearest
 from ursnav_torch.matching.occupancy import Occupancy
 from ursnav_torch.matching.opencv import OpenCV
@@ -18,6 +18,7 @@ from ursnav_torch.matching.sinkhorn import ConvergenceWarning, Sinkhorn
 from ursnav_torch.threads import one_thread_an_operation
 
 __all__ = [
+    "Assignment",
     "ConvergenceWarning",
     "Correspondences",
     "Hungarian",

@@ -91,6 +91,14 @@ def position_query(points: Tensor, cost: PairCost) -> Tensor:
     return torch.cat([torch.ones_like(q[..., :1]), -2 * q, q.square().sum(-1, keepdim=True)], -1)
 
 
+def add_paired_chi2(out: Tensor, views: Tensor, queries: Tensor, share: float) -> None:
+    """`add_chi2` for K pairs of a query and a view: costs (K, Pq, P), views (K, D, P), queries (K, Pq, D)."""
+    for seen, asked in zip(views.unbind(1), queries.unbind(2), strict=True):
+        both = (asked[:, :, None] + seen[:, None, :]).clamp_min_(1e-12)
+        out.addcdiv_(asked.square()[:, :, None].expand_as(both), both, value=2 * share)
+    out.sub_(share)
+
+
 def add_chi2(out: Tensor, views: Tensor, query: Tensor, share: float) -> None:
     """Add ``share * 1/2 sum (a - b)^2 / (a + b)`` in place, exactly, for histograms that sum to 1.
 

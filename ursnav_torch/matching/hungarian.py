@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.matching.methods import Correspondences
+from ursnav_torch.matching.methods import Assignment, Correspondences
 
 #: Views whose costs are computed again at once while solving.
 _BATCH = 8
@@ -56,6 +56,17 @@ class Hungarian:
                 out[view] = float(self._solve(cost[:, k, mask[k]])[2].mean())
                 solved.append(float(out[view]))
         return out
+
+    def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
+        """See `Method.assign`: every pair solved exactly, whatever `exact` says; SciPy solves one at a time."""
+        queries, views = cost.shape[:2]
+        distance, view_point = torch.empty(views), torch.zeros(views, queries, dtype=torch.long)
+        strength = torch.zeros(views, queries)
+        for k, mask in enumerate(shares > 0):
+            rows, columns, costs = self._solve(cost[:, k, mask])
+            distance[k] = float(costs.mean())
+            view_point[k, rows], strength[k, rows] = mask.nonzero().flatten()[columns], 1.0
+        return Assignment(distance, view_point, strength)
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """The optimal assignment."""

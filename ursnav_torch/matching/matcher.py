@@ -11,7 +11,7 @@ from torch import Tensor
 from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, fix_scale
-from ursnav_torch.matching.methods import Correspondences, Method
+from ursnav_torch.matching.methods import Assignment, Correspondences, Method
 from ursnav_torch.matching.nearest import Nearest
 from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
@@ -113,39 +113,54 @@ class Matcher:
             (V,) float32, lower is nearer; inf for views without points, for all if the query has none.
         """
         points, direction, weights = compress(points, direction, weights, mask)
-        shares = _shares(points, weights)
-        if shares is None or not len(self):
-            return torch.full((len(self),), math.inf)
-        if isinstance(self.settings.method, OpenCV):
-            return self.settings.method.distances(points, self.points, self.mask)
-        with torch.inference_mode():  # spares the many small operations their bookkeeping
-            with one_thread_an_operation():
-                queries = self._queries(points, direction, weights)
-            distances = self._reduce(queries, shares)
-        return distances.amin(0).clamp_min_(0.0)
+        return self._at_rolls(points, direction, weights).amin(0)
 
-    def distances_one_by_one(self, points: Tensor, direction: Tensor | None, views: Tensor) -> Tensor:
-        """Distances of K queries of the same number of points, each to one view.
+    def nearest_rolls(self, points: Tensor, direction: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Distance (V,) of a query to every view as `distances` has it, and the roll (V,) in radians it has there.
+
+        Args:
+            points, direction: see `distances`. Turned by the roll, x towards y, the query is nearest to the view.
+        """
+        rolls = torch.tensor(self.settings.roll_deg, dtype=torch.float64).deg2rad()
+        if len(rolls) == 1:
+            return self.distances(points, direction), rolls.expand(len(self))
+        distance, row = self._at_rolls(points, direction, None).min(0)
+        return distance, rolls[row]
+
+    def assign(
+        self, points: Tensor, direction: Tensor | None, views: Tensor, weights: Tensor | None = None
+    ) -> Assignment:
+        """K queries of as many points, each assigned to one view, all at once and exactly.
 
         Args:
             points: (K, Pq, 2) px; `settings.roll_deg` plays no part.
             direction: (K, Pq) edge direction in radians, as the database's, or None.
             views: (K,) int64.
+            weights: (Pq,) how much a query's point counts, >= 0, in all K alike; 1 where left out.
 
         Returns:
-            (K,) float32, lower is nearer; inf for views without points, for all if the queries have none.
+            Distances of inf for views without points, and for all if the queries have none. With `OpenCV`, whose
+            extractor keeps its correspondences to itself, they are the nearest in our cost.
         """
-        out = torch.full((len(views),), math.inf)
-        if not points.shape[1]:
+        count, size = points.shape[:2]
+        out = Assignment(torch.full((count,), math.inf), torch.zeros(count, size, dtype=torch.long),
+                         torch.zeros(count, size))  # fmt: skip
+        known = (~self._empty[views]).nonzero().flatten()
+        shares = _shares(points[0], weights) if count else None
+        if shares is None or not len(known):
             return out
-        method, shares = self.settings.method, torch.full((points.shape[1],), 1 / points.shape[1])
-        if isinstance(method, OpenCV):
-            pairs = zip(points, views.tolist(), strict=True)
-            return torch.cat([method.distances(p, self.points[[v]], self.mask[[v]]) for p, v in pairs])
-        for i, query in enumerate(self.views.queries(points, direction)):
-            view = slice(int(views[i]), int(views[i]) + 1)
-            out[i] = method.reduce(self.views.costs(query, view), self.mask[view], shares)[0]
-        return out.clamp_min_(0.0).masked_fill_(self._empty[views], math.inf)
+        own = self.settings.method
+        method = Nearest(keep=1.0) if isinstance(own, OpenCV) else own
+        along = None if direction is None else direction[known]
+        cost = self.views.paired_costs(points[known], along, views[known], weights)
+        found = method.assign(cost, self._shares[views[known]], shares)
+        distance = found.distance
+        if isinstance(own, OpenCV):
+            pairs = zip(points[known], views[known].tolist(), strict=True)
+            distance = torch.cat([own.distances(p, self.points[[v]], self.mask[[v]]) for p, v in pairs])
+        out.distance[known] = distance.clamp_min(0.0)
+        out.view_point[known], out.strength[known] = found.view_point, found.strength
+        return out
 
     def match(
         self,
@@ -167,6 +182,18 @@ class Matcher:
         with one_thread_an_operation():
             queries = [] if shares is None else self._queries(points, direction, weights)
             return [self._pairs(queries, view, shares, rows) for view in views]
+
+    def _at_rolls(self, points: Tensor, direction: Tensor | None, weights: Tensor | None) -> Tensor:
+        """Distances (rolls, V) of a query."""
+        shares = _shares(points, weights)
+        if shares is None or not len(self):
+            return torch.full((len(self.settings.roll_deg), len(self)), math.inf)
+        if isinstance(self.settings.method, OpenCV):
+            return self.settings.method.distances(points, self.points, self.mask)[None]
+        with torch.inference_mode():  # spares the many small operations their bookkeeping
+            with one_thread_an_operation():
+                queries = self._queries(points, direction, weights)
+            return self._reduce(queries, shares).clamp_min_(0.0)
 
     def _queries(self, points: Tensor, direction: Tensor | None, weights: Tensor | None) -> list[PreparedQuery]:
         """The query at every roll."""

@@ -22,6 +22,22 @@ class Correspondences:
     cost: Tensor
 
 
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """K queries of Pq points each, and how the points of one view each are assigned to theirs.
+
+    Attributes:
+        distance: (K,) float32, lower is nearer; inf for a view without points.
+        view_point: (K, Pq) int64, the view's point that most of a query point's mass goes to.
+        strength: (K, Pq) float32 in 0..1, the share of the query point's mass that goes there; 0 where the query's
+            point is left out.
+    """
+
+    distance: Tensor
+    view_point: Tensor
+    strength: Tensor
+
+
 class Method(Protocol):
     """A way from costs to distances. Costs are laid out (Pq, V, P): query point, view, the view's point."""
 
@@ -36,6 +52,13 @@ class Method(Protocol):
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Final distances (V,) when all views were reduced; `costs_of(views)` gives (Pq, K, P) and mask (K, P)."""
+
+    def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
+        """Final distances and soft correspondences of K query-view pairs from their costs (Pq, K, P), all at once.
+
+        Args:
+            cost, shares, weights: as `reduce` takes them, V = K; every view has a point, the costs are kept.
+        """
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """Correspondences from one view's costs (Pq, N), all of them real points."""

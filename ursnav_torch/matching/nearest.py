@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.matching.methods import Correspondences
+from ursnav_torch.matching.methods import Assignment, Correspondences
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,14 @@ class Nearest:
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Nothing is left to do."""
         return distances
+
+    def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
+        """See `Method.assign`: each query point's cheapest counterpart, the best `keep` of them."""
+        best, view_point = cost.min(2)
+        distance = self.combine(best, cost.amin(0), shares, weights)
+        kept = max(1, round(self.keep * len(best)))
+        strength = torch.zeros(best.T.shape).scatter_(1, best.T.topk(kept, 1, largest=False).indices, 1.0)
+        return Assignment(distance, view_point.T, strength)
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """The cheapest counterpart of each query point, the best `keep` of them, cheapest first."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.matching.methods import Correspondences
+from ursnav_torch.matching.methods import Assignment, Correspondences
 
 _TINY = 1e-30
 
@@ -68,6 +68,13 @@ class Sinkhorn:
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Nothing is left to do."""
         return distances
+
+    def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
+        """See `Method.assign`: the transport plan's largest entry of each query point, as a share of its mass."""
+        moved = self.transport(cost, shares, weights)
+        mass, view_point = moved.plan.max(2)
+        strength = mass / moved.plan.sum(2).clamp_min(_TINY)
+        return Assignment(moved.cost.float(), view_point.T, strength.T.float())
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """The view point that receives most of each query point's mass."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ursnav_torch.devices import TrackerSample
 from ursnav_torch.registration import readings_in_kidney
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 
 
 def sensor_in_kidney(

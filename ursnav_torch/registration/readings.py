@@ -10,7 +10,7 @@ from ursnav_torch.em_log import EmFormat, join_pictures, read_em_samples
 from ursnav_torch.errors import InputError
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.tracking.follow import Moment
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 
 Array = NDArray[np.float64]
 

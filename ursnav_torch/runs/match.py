@@ -117,7 +117,7 @@ def _work(
     description = localizer.vid.folder / "vid.json"
     return {
         "vid": description.read_text(encoding="utf-8") if description.exists() else str(localizer.vid.folder),
-        "settings": f"{localizer.matching} {localizer.settings}",
+        "settings": localizer.described(),
         "base": str(base),
         "pictures": [[str(path), *fingerprint(path)] for path in paths],
         "report": None if report is None else str(report),

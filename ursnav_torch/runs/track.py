@@ -22,7 +22,7 @@ from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
 
 Sensor = Callable[[Moment], SensorReading | None]

@@ -1,4 +1,4 @@
-"""Shape distance of a picture to chosen views, the picture turned for each as the scan found."""
+"""Shape contexts of a picture compared with those of chosen views, the picture turned for each as the scan found."""
 
 import numpy as np
 import torch
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import EdgePoints
-from ursnav_torch.matching import Matcher, Matching
+from ursnav_torch.matching import Assignment, Matcher, Matching
 from ursnav_torch.vid import ViewFeatures
 
 
@@ -26,14 +26,17 @@ class ShapeStage:
             features.points, features.mask, features.direction, matching, roll_center_px=(camera.cx, camera.cy)
         )
 
-    def everywhere(self, edges: EdgePoints) -> Tensor:
-        """Distance (V,) to every view, at the rolls that the matching settings name."""
-        return self._matcher.distances(edges.points, edges.direction)
+    def everywhere(self, edges: EdgePoints) -> tuple[Tensor, Tensor]:
+        """Distance (V,) to every view at the nearest of the rolls that the matching names, and that roll (V,) rad."""
+        return self._matcher.nearest_rolls(edges.points, edges.direction)
 
-    def turned(self, edges: EdgePoints, views: Tensor, R_view_query: NDArray[np.float64]) -> Tensor:
-        """Distance (K,) to views (K,), the picture's camera turned by ``R_view_query`` (K, 3, 3) against each."""
+    def finalists(self, edges: EdgePoints, views: Tensor, R_view_query: NDArray[np.float64]) -> Assignment:
+        """Distances and correspondences with views (K,), the camera turned by ``R_view_query`` (K, 3, 3) against each.
+
+        What a point of the picture counts would enter here, as weights (Pq,) of `Matcher.assign`.
+        """
         points, direction = turn_edges(edges, self._camera, R_view_query)
-        return self._matcher.distances_one_by_one(points, direction, views)
+        return self._matcher.assign(points, direction, views)
 
 
 def turn_edges(edges: EdgePoints, camera: Camera, R: NDArray[np.float64]) -> tuple[Tensor, Tensor]:

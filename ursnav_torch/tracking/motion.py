@@ -49,13 +49,11 @@ class Hypotheses:
     weight: Array
 
 
-def transition(
-    before: Hypotheses, T: Array, to_tips_mm: Array, seconds: float, motion: MotionSettings, unit: float
-) -> Array:
+def transition(before: Hypotheses, T: Array, to_tips_mm: Array, seconds: float, motion: MotionSettings) -> Array:
     """Log-probability (N,) of poses T (N, 4, 4) some seconds after ``before``, up to a constant.
 
-    Bell-shaped in the way along the lumen and in the turn, with the tails that views far apart and a scope that
-    jerks need, mixed over the hypotheses, on a floor of jumps. The way between
+    A heavy-tailed transition in the way along the lumen and in the turn, with the tails that views far apart and a
+    scope that jerks need, mixed over the hypotheses, on a floor of jumps. The way between
     two places is at least their distance, and at least the difference of their ways to any tip (triangle inequality):
     the larger of the two keeps neighbors through a wall apart.
 
@@ -63,22 +61,21 @@ def transition(
         before: what was known before.
         T, to_tips_mm: poses and their ways to the tips (N, C).
         seconds: since.
-        motion: limits.
-        unit: the kidney's scale.
+        motion: limits, lengths in mm of this kidney (see `scaled`).
     """
     way = cdist(T[:, :3, 3], before.T_kidney_camera[:, :3, 3])
     np.maximum(way, cdist(to_tips_mm, before.to_tips_mm, "chebyshev"), out=way)
     trace = T[:, :3, :3].reshape(len(T), 9) @ before.T_kidney_camera[:, :3, :3].reshape(-1, 9).T
     turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    reach = unit * np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)
-    swing = np.radians(np.hypot(motion.spacing_deg, motion.turn_deg_s * seconds))
-    step, twist = (np.exp(1 - np.sqrt(1 + x**2)) for x in (way / reach, turn / swing))
-    near = (step * (twist + _WHIRL)) @ before.weight
+    reach = np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)
+    spread = np.radians(np.hypot(motion.spacing_deg, motion.turn_deg_s * seconds))
+    step, twist = (np.exp(1 - np.sqrt(1 + x**2)) for x in (way / reach, turn / spread))
+    near = (step * (twist + _ANY_TURN)) @ before.weight
     jump = 1 - (1 - motion.jump) ** max(seconds, 1e-3)
     return np.log((1 - jump) * near + jump * _JUMP_DENSITY)
 
 
 #: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
 _JUMP_DENSITY = 1e-5
-#: What any turn is worth beside no turn: a scope whose tip is let go whirls round within one picture.
-_WHIRL = 0.01
+#: Heavy tail of the turn: what any turn is worth beside none, for a tip that is let go whirls round in one picture.
+_ANY_TURN = 0.01

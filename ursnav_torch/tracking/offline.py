@@ -21,7 +21,7 @@ from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
 from ursnav_torch.tracking.follow import Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
-from ursnav_torch.tracking.place_search import SensorReading
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
 
@@ -123,7 +123,7 @@ def _smoothed(
     tracker: Tracker,
 ) -> list[Tracked]:
     """The answers of one unbroken stretch at their smoothed poses; confidence is the mean of what both ways had."""
-    poses = smooth_stretch(measured, t_s, tracker.smoothing, tracker.vid.kidney.scale)
+    poses = smooth_stretch(measured, t_s, tracker.settings.smoothing)
     calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen).tolist()
     result = []
     for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
@@ -164,8 +164,8 @@ def _chosen(
     poses = np.array([[forward[i].T_aligned, backward[i].T_aligned] for i in shown])  # (K, 2, 4, 4)
     scores = np.array([[forward[i].score, backward[i].score] for i in shown])
     to_tips = tracker.lumen.to_calyces(poses[:, :, :3, 3].reshape(-1, 3)).reshape(len(shown), 2, -1)
-    settings, unit = tracker.settings, tracker.vid.kidney.scale
-    best, came = scores / settings.motion_weight, np.zeros(scores.shape, int)
+    settings = tracker.settings
+    best, came = scores / settings.challenger.prior_weight, np.zeros(scores.shape, int)
     for k, i in enumerate(shown):
         reading = readings[i]
         if reading is not None:
@@ -175,7 +175,7 @@ def _chosen(
         steps = [
             transition(
                 Hypotheses(poses[k - 1, j, None], to_tips[k - 1, j, None], np.ones(1)),
-                poses[k], to_tips[k], seconds, tracker.motion, unit,
+                poses[k], to_tips[k], seconds, settings.motion,
             )
             for j in range(2)
         ]  # fmt: skip
@@ -184,9 +184,10 @@ def _chosen(
         best[k] += way.max(0)
     at = int(best[-1].argmax())
     for k in range(len(shown) - 1, -1, -1):
-        near = bool(are_near(poses[k, 1 - at, None], poses[k, at], settings.near_mm * unit, settings.near_deg)[0])
-        weight = np.array([tracker.smoothing.noise(float(score), unit)[0] ** -2 for score in scores[k]])
-        pose = mean_pose(poses[k], weight, at, settings.near_mm * unit, settings.near_deg)[0] if near else poses[k, at]
+        same = (settings.filter.same_place_mm, settings.filter.same_place_deg)
+        near = bool(are_near(poses[k, 1 - at, None], poses[k, at], *same)[0])
+        weight = np.array([settings.smoothing.noise(float(score))[0] ** -2 for score in scores[k]])
+        pose = mean_pose(poses[k], weight, at, *same)[0] if near else poses[k, at]
         reading = readings[shown[k]]
         place = None if reading is None else reading.camera_at(pose)
         besides = () if reading is None or place is None else ((place, reading.sigma_mm),)
@@ -197,14 +198,17 @@ def _chosen(
 
 def _unbroken(measured: Sequence[Measured | None], t_s: Sequence[float], tracker: Tracker) -> list[tuple[int, int]]:
     """Where tracks begin and end between which the scope jumped, or the pictures were cut; begun by something seen."""
-    s, motion, unit = tracker.settings, tracker.motion, tracker.vid.kidney.scale
+    s, motion = tracker.settings.filter, tracker.settings.motion
     seen = [(i, m) for i, m in enumerate(measured) if m is not None]
     begin = [i for i, _ in seen[:1]]
     for (i, a), (j, b) in pairwise(seen):
         seconds = t_s[j] - t_s[i]
-        far = (2 * s.near_mm + motion.speed_mm_s * seconds) * unit
+        far = 2 * s.same_place_mm + motion.speed_mm_s * seconds
         if not are_near(
-            a.T_kidney_camera[None], b.T_kidney_camera, far, min(2 * s.near_deg + motion.turn_deg_s * seconds, 180.0)
+            a.T_kidney_camera[None],
+            b.T_kidney_camera,
+            far,
+            min(2 * s.same_place_deg + motion.turn_deg_s * seconds, 180.0),
         )[0]:
             begin.append(j)
     return list(zip(begin, [*begin[1:], len(measured)][: len(begin)], strict=True))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ursnav_torch.tracking.place_search import TrackSettings
+from ursnav_torch.tracking.settings import OwnKidneySettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,14 +24,14 @@ class Evidence:
     fit: float
     off: float | None = None
 
-    def log_odds(self, settings: TrackSettings) -> float:
+    def log_odds(self, settings: OwnKidneySettings) -> float:
         """That the picture shows the VID's kidney, within what a single picture may count."""
         s = settings
-        constant, score, lead, fit = s.own_kidney
+        constant, score, lead, fit = s.weights
         odds = constant + score * self.score + lead * self.lead + fit * self.fit
         if self.off is not None:
-            odds += float(np.clip(s.own_sensor - self.off, -s.most, s.most))
-        return float(np.clip(odds, -s.most, s.most_gain))
+            odds += float(np.clip(s.sensor_gate_sd - self.off, -s.max_llr_against, s.max_llr_against))
+        return float(np.clip(odds, -s.max_llr_against, s.max_llr_for))
 
 
 class OwnKidneyTest:
@@ -41,19 +41,19 @@ class OwnKidneyTest:
         trust: the log-odds gathered so far, that this is the VID's kidney.
     """
 
-    def __init__(self, settings: TrackSettings) -> None:
+    def __init__(self, settings: OwnKidneySettings) -> None:
         self._settings = settings
         self.trust = 0.0
 
     def add(self, evidence: Evidence, seconds: float) -> None:
         """Weigh one picture, taken some seconds after the one before."""
         s = self._settings
-        gain = evidence.log_odds(s) * min(seconds, 4 * s.usual_s) / s.usual_s
-        self.trust = float(np.clip(self.trust + gain, -s.debt, s.credit))
+        gain = evidence.log_odds(s) * min(seconds, 4 * s.frame_s) / s.frame_s
+        self.trust = float(np.clip(self.trust + gain, s.min_sum, s.max_sum))
 
     @property
     def verdict(self) -> bool | None:
         """True when it is believed to be the VID's kidney, False when that is given up, None in between."""
-        if self.trust <= -self._settings.give_up:
+        if self.trust <= self._settings.reject_below:
             return False
-        return True if self.trust >= self._settings.believe else None
+        return True if self.trust >= self._settings.accept_above else None

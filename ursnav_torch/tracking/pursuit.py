@@ -1,4 +1,4 @@
-"""The track at hand: one refined pose taken on from picture to picture, beside a rival that may take over."""
+"""The track at hand: one refined pose taken on from picture to picture, beside a challenger that may take over."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,10 @@ from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.search.pose_mean import are_near
+from ursnav_torch.tracking.filter import place
 from ursnav_torch.tracking.motion import Hypotheses
-from ursnav_torch.tracking.place_search import SensorReading, TrackSettings, place
+from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
 Array = NDArray[np.float64]
 
@@ -58,30 +60,29 @@ class Pursuit:
 
     Args:
         refiner: aligns poses with pictures.
-        settings: see `TrackSettings`.
-        unit_mm: length of 1 mm of anatomy: the kidney's scale.
+        settings, same: see `ChallengerSettings`; ``same`` says which poses are one place. Lengths in mm of this kidney.
 
     Attributes:
-        tries: poses that the track is tried to go on from.
+        starts: poses that the track is tried to go on from.
     """
 
-    def __init__(self, refiner: Refiner, settings: TrackSettings, unit_mm: float) -> None:
-        self._refiner, self._settings, self._unit = refiner, settings, unit_mm
-        self.tries = settings.tries
+    def __init__(self, refiner: Refiner, settings: ChallengerSettings, same: FilterSettings) -> None:
+        self._refiner, self._settings, self._same = refiner, settings, same
+        self.starts = settings.starts
         self.reset()
 
     def reset(self) -> None:
         """Forget the track, and the scope's light."""
         self._light = Light()
-        self._own: _Lead | None = None
-        self._rival: _Lead | None = None
-        self._good: Array | None = None  # last pose that was not shaky
-        self._doubt, self._deeper = 0.0, 1.0
+        self._incumbent: _Lead | None = None
+        self._challenger: _Lead | None = None
+        self._good: Array | None = None  # last pose that was not badly aligned
+        self._evidence, self._deeper = 0.0, 1.0
 
     @property
     def trusted(self) -> float:
-        """1 while nothing speaks for a rival, 0 when it is about to take over."""
-        return 1 - min(self._doubt / self._settings.convinced, 1.0)
+        """1 while nothing speaks for a challenger, 0 when it is about to take over."""
+        return 1 - min(self._evidence / self._settings.takeover_evidence, 1.0)
 
     def follow(self, picture: Weighed, anew: bool) -> Refined:
         """The track's pose in the next picture.
@@ -93,58 +94,58 @@ class Pursuit:
             picture: the picture.
             anew: look for the track among all hypotheses.
         """
-        s, T = self._settings, place(picture.found, self._settings, self._unit)
-        if anew or self._own is None or self._own.refined.score < s.shaky:
-            self._own = _Lead(self._aligned(picture, self._anywhere(picture, T), picture.prior))
-            self._rival, self._doubt = None, 0.0
+        s, T = self._settings, place(picture.found, self._same)
+        if anew or self._incumbent is None or self._incumbent.refined.score < s.reacquire_below:
+            self._incumbent = _Lead(self._aligned(picture, self._anywhere(picture, T), picture.prior))
+            self._challenger, self._evidence = None, 0.0
         else:
-            agrees = self._near(T, self._own.refined.T_kidney_camera)
-            around = self._around(self._own, T, picture.found)[: self.tries]
-            self._own = _Lead(self._aligned(picture, around, picture.prior), self._own.refined)
-            here = self._own.refined
+            agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
+            around = self._around(self._incumbent, T, picture.found)[: self.starts]
+            self._incumbent = _Lead(self._aligned(picture, around, picture.prior), self._incumbent.refined)
+            here = self._incumbent.refined
             elsewhere: list[Array] = []
             if not agrees and not self._near(T, here.T_kidney_camera):
                 elsewhere = [T]
-            elif here.score < s.unsure:
+            elif here.score < s.challenge_below:
                 elsewhere = self._apart([here.T_kidney_camera], picture.found, picture.fits, 2)[1:]
-            self._own = self._better(picture, self._own, elsewhere)
-        refined = self._own.refined
+            self._incumbent = self._better(picture, self._incumbent, elsewhere)
+        refined = self._incumbent.refined
         self._light.learn(refined.light, refined.score)
-        if refined.score >= s.shaky:
+        if refined.score >= s.reacquire_below:
             self._good = refined.T_kidney_camera
         return refined
 
     def _better(self, picture: Weighed, own: _Lead, elsewhere: list[Array]) -> _Lead:
-        """The track, or the rival once it has been the better one; other places are aligned, and may be the rival."""
-        s, before, sensor = self._settings, self._rival, picture.sensor
+        """The incumbent, or the challenger once that has been the better one; other places may become challengers."""
+        s, before, sensor = self._settings, self._challenger, picture.sensor
         tried = elsewhere if before is None else [*before.ahead(), *elsewhere]
         if not tried:
-            self._doubt = max(self._doubt - 1.0, 0.0)
+            self._evidence = max(self._evidence - 1.0, 0.0)
             return own
         found = self._aligned(picture, tried)
         if self._near(found.T_kidney_camera, own.refined.T_kidney_camera):
-            self._rival, self._doubt = None, max(self._doubt - 1.0, 0.0)
+            self._challenger, self._evidence = None, max(self._evidence - 1.0, 0.0)
             return own
         same = before is not None and self._near(found.T_kidney_camera, before.refined.T_kidney_camera)
-        rival = _Lead(found, before.refined if before is not None and same else None)
-        gain = (found.score - own.refined.score) / s.better_by
+        challenger = _Lead(found, before.refined if before is not None and same else None)
+        gain = (found.score - own.refined.score) / s.score_step
         if sensor is not None:
-            off_own, off_rival = (sensor.off(lead.refined.T_kidney_camera[None])[0] for lead in (own, rival))
-            gain += float(np.clip(off_own - off_rival, -1.0, 1.0))
-        self._doubt = max((self._doubt if same else 0.0) + float(np.clip(gain, -1.0, s.most_gain)), 0.0)
-        if self._doubt >= s.convinced:
-            self._rival, self._doubt = None, 0.0
-            return rival
-        self._rival = None if gain < 0 and self._doubt == 0.0 else rival
+            off_own, off_challenger = (sensor.off(lead.refined.T_kidney_camera[None])[0] for lead in (own, challenger))
+            gain += float(np.clip(off_own - off_challenger, -1.0, 1.0))
+        self._evidence = max((self._evidence if same else 0.0) + float(np.clip(gain, -1.0, s.max_step)), 0.0)
+        if self._evidence >= s.takeover_evidence:
+            self._challenger, self._evidence = None, 0.0
+            return challenger
+        self._challenger = None if gain < 0 and self._evidence == 0.0 else challenger
         return own
 
     def _anywhere(self, picture: Weighed, T: Array) -> list[Array]:
         """What is known of the track, and the hypotheses that fit best or are most probable."""
-        known = [] if self._own is None else [self._own.refined.T_kidney_camera]
+        known = [] if self._incumbent is None else [self._incumbent.refined.T_kidney_camera]
         known += [] if self._good is None else [self._good]
-        known += [] if self._rival is None else [self._rival.refined.T_kidney_camera]
-        fitting = self._apart([*known, T], picture.found, picture.fits, self._settings.tries)
-        return self._apart(fitting, picture.found, picture.found.weight, self._settings.tries + 3)
+        known += [] if self._challenger is None else [self._challenger.refined.T_kidney_camera]
+        fitting = self._apart([*known, T], picture.found, picture.fits, self._settings.starts)
+        return self._apart(fitting, picture.found, picture.found.weight, self._settings.starts + 3)
 
     def _apart(self, tried: list[Array], found: Hypotheses, worth: Array, count: int) -> list[Array]:
         """The poses given and the hypotheses of most worth (M,) that lie apart from them and each other, ``count``."""
@@ -159,16 +160,16 @@ class Pursuit:
 
         Depth is what alignment tells least, and where it slips.
         """
-        s, unit = self._settings, self._unit
+        s, near_mm = self._settings, self._same.same_place_mm
         ahead = own.ahead()
         self._deeper = -self._deeper
         slid = ahead[-1].copy()
-        slid[:3, 3] += self._deeper * s.slide_mm * unit * slid[:3, 2]
+        slid[:3, 3] += self._deeper * s.depth_step_mm * slid[:3, 2]
         tried = [*ahead, slid]
-        order = np.argsort(-found.weight)[: s.newcomers]
+        order = np.argsort(-found.weight)[: self._same.best_fitting]
         for pose in [T, *found.T_kidney_camera[order]]:
             apart = [np.linalg.norm(pose[:3, 3] - t[:3, 3]) for t in tried]
-            if min(apart) > s.slide_mm / 2 * unit and apart[0] < 2 * s.near_mm * unit and len(tried) < s.tries:
+            if min(apart) > s.depth_step_mm / 2 and apart[0] < 2 * near_mm and len(tried) < s.starts:
                 tried.append(pose)
         return tried
 
@@ -177,5 +178,4 @@ class Pursuit:
 
     def _near(self, T_a: Array, T_b: Array) -> bool:
         """Whether two poses are one place."""
-        s = self._settings
-        return bool(are_near(T_a[None], T_b, s.near_mm * self._unit, s.near_deg)[0])
+        return bool(are_near(T_a[None], T_b, self._same.same_place_mm, self._same.same_place_deg)[0])

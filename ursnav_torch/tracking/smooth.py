@@ -10,46 +10,47 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
 
 Array = NDArray[np.float64]
-#: How fast a scope may be when it is first seen, mm/s at the kidney's scale 1.
-_FIRST_SPEED = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothSettings:
-    """How much is believed to be noise; mm at the kidney's scale 1.
+    """How much is believed to be noise; lengths are mm at the kidney's scale 1, see `scaled`.
 
     Attributes:
-        position_mm, turn_deg: standard deviation of a well aligned pose.
-        good: alignment score of such a pose.
-        spoil: by e-fold the deviation grows as the score falls short of ``good`` by 1.
-        push_mm_s2: how fast the scope changes its speed.
-        swing_deg_s: how fast it turns.
+        position_sd_mm, turn_sd_deg: standard deviation of a well aligned pose.
+        good_score: alignment score of such a pose.
+        noise_growth: e-folds by which the deviation grows as the score falls short of ``good_score`` by 1.
+        acceleration_sd_mm_s2: standard deviation of the scope's acceleration.
+        turn_rate_sd_deg_s: standard deviation of its angular rate.
         fade_s: a scope that nothing is seen of is believed to come to rest within this time.
+        first_speed_sd_mm_s: how fast it may be when it is first seen.
     """
 
-    position_mm: float = 0.35
-    turn_deg: float = 2.0
-    good: float = 0.75
-    spoil: float = 7.0
-    push_mm_s2: float = 25.0
-    swing_deg_s: float = 35.0
+    position_sd_mm: float = 0.35
+    turn_sd_deg: float = 2.0
+    good_score: float = 0.75
+    noise_growth: float = 7.0
+    acceleration_sd_mm_s2: float = 25.0
+    turn_rate_sd_deg_s: float = 35.0
     fade_s: float = 0.3
+    first_speed_sd_mm_s: float = 5.0
 
     def __post_init__(self) -> None:
-        if min(self.position_mm, self.turn_deg, self.push_mm_s2, self.swing_deg_s, self.fade_s) <= 0:
+        deviations = (self.position_sd_mm, self.turn_sd_deg, self.acceleration_sd_mm_s2, self.turn_rate_sd_deg_s)
+        if min(*deviations, self.fade_s, self.first_speed_sd_mm_s) <= 0:
             raise InputError(f"Smoothing needs standard deviations and times above 0, got {self}.")
 
-    def noise(self, score: float, unit: float) -> tuple[float, float]:
+    def noise(self, score: float) -> tuple[float, float]:
         """Standard deviations, in mm and radians, of a pose aligned with a score."""
-        worse = float(np.exp(self.spoil * max(self.good - score, 0.0)))
-        return self.position_mm * unit * worse, float(np.radians(self.turn_deg)) * worse
+        worse = float(np.exp(self.noise_growth * max(self.good_score - score, 0.0)))
+        return self.position_sd_mm * worse, float(np.radians(self.turn_sd_deg)) * worse
 
-    def motion(self, seconds: float, unit: float) -> tuple[Array, Array, float]:
+    def motion(self, seconds: float) -> tuple[Array, Array, float]:
         """What time does to position and velocity (2, 2), the covariance (2, 2) it adds, and the turn's variance."""
         dt, fade = seconds, np.exp(-seconds / self.fade_s)
         F = np.array([[1.0, self.fade_s * (1 - fade)], [0.0, fade]])
-        push = (self.push_mm_s2 * unit) ** 2 * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
-        return F, push, float((np.radians(self.swing_deg_s) * dt) ** 2)
+        pushed = self.acceleration_sd_mm_s2**2 * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
+        return F, pushed, float((np.radians(self.turn_rate_sd_deg_s) * dt) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,8 @@ class PoseFilter:
         belief: what is believed now, None before the first pose.
     """
 
-    def __init__(self, settings: SmoothSettings | None = None, unit: float = 1.0) -> None:
-        self.settings, self._unit = settings or SmoothSettings(), unit
+    def __init__(self, settings: SmoothSettings | None = None) -> None:
+        self.settings = settings or SmoothSettings()
         self.reset()
 
     def reset(self) -> None:
@@ -95,16 +96,16 @@ class PoseFilter:
         b = self.belief
         if b is None:
             return None
-        F, push, swing = self.settings.motion(max(t_s - b.at_s, 0.0), self._unit)
-        self.belief = Belief(F @ b.state, F @ b.covariance @ F.T + push, b.R, b.turn_variance + swing, t_s)
+        F, pushed, turned = self.settings.motion(max(t_s - b.at_s, 0.0))
+        self.belief = Belief(F @ b.state, F @ b.covariance @ F.T + pushed, b.R, b.turn_variance + turned, t_s)
         return self.belief.pose()
 
     def update(self, T_kidney_camera: Array, t_s: float, score: float) -> Array:
         """The smoothed pose (4, 4) after a pose measured at ``t_s`` with an alignment score."""
-        sigma, turn = self.settings.noise(score, self._unit)
+        sigma, turn = self.settings.noise(score)
         if self.predict(t_s) is None:
             state = np.stack([T_kidney_camera[:3, 3], np.zeros(3)])
-            covariance = np.diag([sigma, _FIRST_SPEED * self._unit]) ** 2
+            covariance = np.diag([sigma, self.settings.first_speed_sd_mm_s]) ** 2
             self.belief = Belief(state, covariance, T_kidney_camera[:3, :3].copy(), turn**2, t_s)
         else:
             self.measure(T_kidney_camera[:3, 3], sigma)

@@ -32,18 +32,15 @@ class Measured:
     positions: tuple[tuple[Array, float], ...] = ()
 
 
-def smooth_stretch(
-    measured: Sequence[Measured | None], t_s: Sequence[float], settings: SmoothSettings, unit: float
-) -> list[Array]:
+def smooth_stretch(measured: Sequence[Measured | None], t_s: Sequence[float], settings: SmoothSettings) -> list[Array]:
     """Poses (4, 4) of one unbroken track.
 
     Args:
         measured: one a time, None where nothing was seen; the first is something.
         t_s: rising times in seconds.
-        settings: motion and noise.
-        unit: the kidney's scale.
+        settings: motion and noise, lengths in mm of this kidney.
     """
-    ahead, expected = PoseFilter(settings, unit), list[Belief | None]()
+    ahead, expected = PoseFilter(settings), list[Belief | None]()
     believed: list[Belief] = []
     for what, at_s in zip(measured, t_s, strict=True):
         ahead.predict(at_s)
@@ -58,7 +55,7 @@ def smooth_stretch(
     poses = [transform_from(R, state[0])]
     for here, after in zip(believed[-2::-1], expected[:0:-1], strict=True):
         assert after is not None
-        F, _, _ = settings.motion(after.at_s - here.at_s, unit)
+        F, _, _ = settings.motion(after.at_s - here.at_s)
         gain = here.covariance @ F.T @ np.linalg.inv(after.covariance)
         state = here.state + gain @ (state - after.state)
         turned = Rotation.from_matrix(here.R.T @ R).as_rotvec()

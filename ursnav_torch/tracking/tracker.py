@@ -18,14 +18,19 @@ from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, EdgePoints, Features
 from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.matching import Matching
+from ursnav_torch.scaling import scaled
+from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
-from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.tracking.filter import ViewFilter
+from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
-from ursnav_torch.tracking.place_search import PlaceSearch, SensorReading, TrackSettings
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed
-from ursnav_torch.tracking.smooth import PoseFilter, SmoothSettings
+from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.smooth import PoseFilter
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -67,7 +72,12 @@ class Tracker:
     Args:
         vid: the views; their features must have maps (the default features have).
         lumen: distances along the lumen; made when None.
-        settings, motion, smoothing, refinement: how to weigh, what moves how, and how poses are refined.
+        settings: how to weigh and what moves how; lengths at the kidney's scale 1.
+        search, matching: how the VID is searched; `VIDEO_SEARCH` when None.
+        refinement: how poses are refined.
+
+    Attributes:
+        settings: as given, lengths in mm of this kidney.
 
     Raises:
         InputError: the VID's features have no maps.
@@ -78,8 +88,8 @@ class Tracker:
         vid: Vid,
         lumen: LumenDistance | None = None,
         settings: TrackSettings | None = None,
-        motion: MotionSettings | None = None,
-        smoothing: SmoothSettings | None = None,
+        search: SearchSettings | None = None,
+        matching: Matching | None = None,
         refinement: RefinementSettings | None = None,
     ) -> None:
         if not isinstance(vid.settings, DefaultSettings) or not vid.features.maps.numel():
@@ -87,17 +97,19 @@ class Tracker:
                 f"The VID {vid.folder} has features without maps, which tracking needs; build it with features=default."
             )
         self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
-        self.settings, self.motion = settings or TrackSettings(), motion or MotionSettings()
+        self.settings = s = scaled(settings or TrackSettings(), vid.kidney.scale)
         self._refiner = Refiner(
-            vid, refinement or RefinementSettings(self.settings.tries + 3, iterations=6, fine_rounds=1), self.lumen
+            vid, refinement or RefinementSettings(s.challenger.starts + 3, iterations=6, fine_rounds=1), self.lumen
         )
         self._full_refinement = self._refiner.settings
-        self._pursuit = Pursuit(self._refiner, self.settings, vid.kidney.scale)
-        self.smoothing = smoothing or SmoothSettings()
-        self._smooth = PoseFilter(self.smoothing, vid.kidney.scale)
+        self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
+        self._smooth = PoseFilter(s.smoothing)
         self._extractor = DefaultExtractor(vid.settings, vid.camera)
         self.working_camera = self._extractor.working_camera
-        self._search = PlaceSearch(vid, self.lumen, self.settings, self.motion, self.working_camera)
+        views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
+        if not views.scans:
+            raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
+        self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion)
         self.reset()
 
     def ease(self, level: int) -> None:
@@ -107,11 +119,11 @@ class Tracker:
             level: 0 spends all that the settings say, 1 follows a good track by aligning two poses in a few steps
                 instead of searching around it, 2 or more also weighs a third of the hypotheses.
         """
-        full, refinement = self.settings, self._full_refinement
+        full, refinement = self.settings.filter, self._full_refinement
         few = max(full.hypotheses // 3, 2)
-        self._pursuit.tries = 2 if level else full.tries
+        self._pursuit.starts = 2 if level else self.settings.challenger.starts
         self._refiner.settings = replace(refinement, iterations=4) if level else refinement
-        self._search.settings = replace(full, hypotheses=few, newcomers=max(few // 4, 1)) if level > 1 else full
+        self._filter.settings = replace(full, hypotheses=few, best_fitting=max(few // 4, 1)) if level > 1 else full
 
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
@@ -119,7 +131,7 @@ class Tracker:
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
         self._seen_s, self._state = 0.0, SEARCHING
-        self._test = OwnKidneyTest(self.settings)
+        self._test = OwnKidneyTest(self.settings.own_kidney)
         self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
         self._pursuit.reset()
 
@@ -163,9 +175,9 @@ class Tracker:
 
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
-        passed = self.settings.usual_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
+        passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         as_taken, features = features, self._pattern.removed(features)
-        found, fits = self._search.weigh(features, self._before, passed, sensor)
+        found, fits = self._filter.update(features, self._before, passed, sensor)
         fit = float(fits[found.weight.argmax()])
         picture = Weighed(features, found, fits, self._expected(passed, sensor), sensor)
         refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
@@ -187,22 +199,22 @@ class Tracker:
 
     def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
         """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
-        s, before, unit = self.settings, self._before, self.vid.kidney.scale
+        s, before, motion = self.settings.challenger, self._before, self.settings.motion
 
         def prior(T: Array) -> Array:
             log = np.zeros(len(T))
             if before is not None:
-                log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, self.motion, unit)
-                log = np.maximum(log - log.max(), -s.better_by / s.motion_weight)
+                log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, motion)
+                log = np.maximum(log - log.max(), -s.score_step / s.prior_weight)
             if sensor is not None:
                 log = log + sensor.log_probability(T)
-            return s.motion_weight * log
+            return s.prior_weight * log
 
         return prior
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
-        own = self.settings.own_share * self._pursuit.trusted
+        own = self.settings.filter.incumbent_share * self._pursuit.trusted
         kept = found.weight > _NEGLIGIBLE
         to_tips = np.concatenate([found.to_tips_mm[kept], self.lumen.to_calyces(T[None, :3, 3])])
         weight = np.append((1 - own) * found.weight[kept], own)
@@ -223,13 +235,14 @@ class Tracker:
 
     def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
         """Which poses (K, 4, 4) are one place with another."""
-        return are_near(T_a, T_b, self.settings.near_mm * self.vid.kidney.scale, self.settings.near_deg)
+        s = self.settings.filter
+        return are_near(T_a, T_b, s.same_place_mm, s.same_place_deg)
 
     def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
         """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
         expected = self._smooth.predict(t_s)
         if expected is not None and not self._near(expected[None], T)[0]:
-            if score < self.settings.shaky:
+            if score < self.settings.challenger.reacquire_below:
                 return expected
             self._smooth.reset()
         T = self._smooth.update(T, t_s, score)
@@ -241,12 +254,12 @@ class Tracker:
 
     def _bridge(self, t_s: float, start: float) -> Tracked:
         """The answer to a picture that shows nothing: where motion leads, for a while."""
-        if self._state == TRACKING and t_s - self._seen_s > self.settings.bridge_s:
+        if self._state == TRACKING and t_s - self._seen_s > self.settings.filter.bridge_s:
             self._state = SEARCHING
             self._smooth.reset()
         T = self._smooth.predict(t_s) if self._state == TRACKING else None
         if T is None:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
-        confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.bridge_s) / (1 + np.exp(-self._test.trust))
+        confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.filter.bridge_s) / (1 + np.exp(-self._test.trust))
         return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, time.perf_counter() - start)

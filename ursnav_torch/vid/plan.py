@@ -63,6 +63,8 @@ class PlanSettings:
             )
 
 
+#: A way's direction is the chord over this length ahead, mm at scale 1; near the tip over half of it back.
+LOOK_AHEAD_MM = 4.0
 #: In a passage narrower than the scope the camera keeps this part of the passage's radius from the wall.
 _MIDDLE = 0.8
 
@@ -163,28 +165,31 @@ class _Way:
     along_mm: Array
     points_mm: Array
     radius_mm: Array
+    look_ahead_mm: float
 
     @classmethod
     def to_calyx(cls, kidney: Kidney, calyx: int) -> "_Way":
         path = kidney.centerline.path_to(calyx)
         points = kidney.centerline.points_mm[path]
         step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        return cls(np.concatenate([[0.0], np.cumsum(step)]), points, kidney.centerline.radius_mm[path])
+        return cls(np.concatenate([[0.0], np.cumsum(step)]), points, kidney.centerline.radius_mm[path],
+                   LOOK_AHEAD_MM * kidney.scale)  # fmt: skip
 
     @property
     def length(self) -> float:
         return float(self.along_mm[-1])
 
     def at(self, along_mm: Array) -> tuple[Array, Array, Array]:
-        """Points (N, 3), radii (N,) and directions (N, 3) at lengths (N,); directions look 4 mm ahead."""
+        """Points (N, 3), radii (N,) and directions (N, 3) at lengths (N,); directions look ahead."""
 
         def point(s: Array) -> Array:
             return np.stack([np.interp(s, self.along_mm, self.points_mm[:, i]) for i in range(3)], axis=-1)
 
         here = point(along_mm)
-        ahead = np.minimum(along_mm + 4.0, self.length)
-        back = np.minimum(along_mm, self.length - 2.0)
-        forward = point(ahead) - np.where((ahead - along_mm > 2.0)[:, None], here, point(back))
+        half = self.look_ahead_mm / 2
+        ahead = np.minimum(along_mm + 2 * half, self.length)
+        back = np.minimum(along_mm, self.length - half)
+        forward = point(ahead) - np.where((ahead - along_mm > half)[:, None], here, point(back))
         forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
         return here, np.interp(along_mm, self.along_mm, self.radius_mm), forward
 

@@ -1,0 +1,29 @@
+"""Lengths in settings are stated for anatomy, at scale 1: the one rule that makes them those of a larger phantom."""
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+Settings = TypeVar("Settings")
+
+#: Endings of the names of settings that are lengths, speeds and accelerations.
+LENGTH_ENDINGS = ("_mm", "_mm_s", "_mm_s2")
+
+
+def scaled(settings: Settings, scale: float) -> Settings:
+    """Settings, a dataclass, with every length times a kidney's scale; dataclasses inside it likewise.
+
+    A field is a length if its name ends as `LENGTH_ENDINGS` have it.
+
+    Raises:
+        TypeError: no dataclass.
+    """
+    if not is_dataclass(settings) or isinstance(settings, type):
+        raise TypeError(f"Expected settings, a dataclass, got {type(settings).__name__}.")
+    changed: dict[str, Any] = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if is_dataclass(value) and not isinstance(value, type):
+            changed[field.name] = scaled(value, scale)
+        elif field.name.endswith(LENGTH_ENDINGS) and value is not None:
+            changed[field.name] = value * scale
+    return replace(settings, **changed)

@@ -1,0 +1,122 @@
+"""One search of the VID for stills and videos: all views, finalists at every tilt, shape contexts of the finalists."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.camera import Camera
+from ursnav_torch.features import Features, polar_grid, polar_maps
+from ursnav_torch.geometry import transform_from
+from ursnav_torch.matching import Matching
+from ursnav_torch.search.ranking import Ranking, view_from_query
+from ursnav_torch.search.scan import RollScan, tilts
+from ursnav_torch.search.settings import SearchSettings, best_first, default_matching
+from ursnav_torch.search.shape import ShapeStage
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class ViewSearch:
+    """The views of a VID, ready to be compared with one picture after the other.
+
+    `rank` is the whole search. A tracker, which knows something beforehand, takes its steps apart: `everywhere`, a
+    choice of its own, `at_tilts`.
+
+    Args:
+        vid: the views.
+        settings: cues, tilts and finalists.
+        matching: how shapes are compared; `default_matching` when None.
+        working_camera: the lens in which features give their fields, where it is known already.
+    """
+
+    def __init__(
+        self,
+        vid: Vid,
+        settings: SearchSettings | None = None,
+        matching: Matching | None = None,
+        working_camera: Camera | None = None,
+    ) -> None:
+        self.settings, self.matching = settings or SearchSettings(), matching or default_matching()
+        self._T = vid.T_kidney_camera
+        maps, s = vid.features.maps, self.settings
+        scans = maps.shape[1] > 0 and s.map_weight > 0
+        self._scan = RollScan(maps, s.channel_weights(maps.shape[1])) if scans else None
+        compares = s.shape_weight > 0 or not scans
+        self._shape = ShapeStage(vid.features, vid.camera, self.matching) if compares else None
+        self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
+        self._grids = polar_grid(working_camera or vid.extractor().working_camera, self._tilts)
+
+    @property
+    def scans(self) -> bool:
+        """Whether polar maps are compared: the VID has them and they have weight."""
+        return self._scan is not None
+
+    def rank(self, features: Features) -> Ranking:
+        """The VID's views nearest to a picture, best first, at most `SearchSettings.finalists` of them.
+
+        Without maps to scan, shapes are compared with every view at the rolls that the matching names.
+        """
+        s = self.settings
+        if self._scan is None or not features.maps.numel():
+            found = self._by_shape(features)
+            return _rows(found, best_first(found.score, s.finalists))
+        straight = self._scan.scan(features.maps[None]).score
+        views = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
+        found = self.at_tilts(features, views)
+        found = self.with_shapes(features, _rows(found, best_first(found.score, s.finalists)))
+        return _rows(found, best_first(found.score, s.finalists))
+
+    def everywhere(self, features: Features) -> Ranking:
+        """Every view of the VID, in its order, at the roll that suits it best and no tilt."""
+        assert self._scan is not None
+        found = self._scan.scan(features.maps[None])
+        return self._ranking(np.arange(len(self._T)), found.score.numpy(), found.roll.numpy(), np.eye(3))
+
+    def at_tilts(self, features: Features, views: Rows) -> Ranking:
+        """Views (K,), in their order, each at the tilt and roll that suit it best.
+
+        What a ring's sector of the picture counts would enter here, beside the maps.
+        """
+        assert self._scan is not None
+        found = self._scan.scan(polar_maps(features.fields, self._grids), torch.from_numpy(views))
+        return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
+
+    def with_shapes(self, features: Features, found: Ranking) -> Ranking:
+        """Hypotheses of a scan, in their order, with the shapes' say in the score; as they are if it has no weight."""
+        weight = self.settings.shape_weight
+        if weight <= 0 or self._shape is None:
+            return found
+        assignment = self._shape.finalists(features.edges, torch.from_numpy(found.views), found.R_view_query)
+        score = found.score + weight * (1 - assignment.distance.numpy().astype(float))
+        return replace(found, score=score, best_score=found.best_score + weight, assignment=assignment)
+
+    def _by_shape(self, features: Features) -> Ranking:
+        """Every view of the VID, in its order, by shape distance alone."""
+        assert self._shape is not None
+        distance, roll = self._shape.everywhere(features.edges)
+        found = self._ranking(np.arange(len(self._T)), 1 - distance.numpy().astype(float), roll.numpy(), np.eye(3))
+        return replace(found, best_score=1.0)
+
+    def _ranking(self, views: Rows, score: NDArray[np.floating], roll: NDArray[np.floating], R_tilt: Array) -> Ranking:
+        """Hypotheses from what a scan found: scores and rolls (K,), tilts (K, 3, 3) or (3, 3)."""
+        R = view_from_query(roll.astype(float), R_tilt)
+        T = self._T[views] @ transform_from(R, np.zeros(3))
+        return Ranking(views, score.astype(float), self.settings.map_weight, R, T)
+
+
+def _rows(found: Ranking, rows: Rows) -> Ranking:
+    """The hypotheses at some rows, in that order."""
+    chosen = found.assignment
+    if chosen is not None:
+        at = torch.from_numpy(rows)
+        chosen = replace(
+            chosen, distance=chosen.distance[at], view_point=chosen.view_point[at], strength=chosen.strength[at]
+        )
+    return Ranking(
+        found.views[rows], found.score[rows], found.best_score, found.R_view_query[rows], found.T_kidney_camera[rows],
+        chosen,
+    )  # fmt: skip

@@ -1,0 +1,70 @@
+"""The Bayesian filter over the VID's views: what was known before, and what a picture says, in one distribution."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.search import ViewSearch
+from ursnav_torch.search.pose_mean import mean_pose
+from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.tracking.settings import FilterSettings
+
+Array = NDArray[np.float64]
+
+
+class ViewFilter:
+    """The views of a VID, weighed against one picture after the other.
+
+    Args:
+        search: compares a picture with the VID's views.
+        places_mm: (V, 3) where the views stand, kidney frame.
+        lumen: distances in their kidney.
+        settings, motion: how to weigh, lengths in mm of this kidney (see `scaled`).
+    """
+
+    def __init__(
+        self, search: ViewSearch, places_mm: Array, lumen: LumenDistance, settings: FilterSettings,
+        motion: MotionSettings,
+    ) -> None:  # fmt: skip
+        self.search, self.settings, self.motion = search, settings, motion
+        self._to_tips = lumen.to_calyces(places_mm)
+
+    def update(
+        self, features: Features, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
+    ) -> tuple[Hypotheses, Array]:
+        """The hypotheses after a picture, some seconds after those before, and each one's search score (M,)."""
+        scale = self.settings.likelihood_scale
+        straight = self.search.everywhere(features)
+        prior = self._prior(straight.T_kidney_camera, self._to_tips, before, seconds, sensor)
+        found = self.search.at_tilts(features, self._worth_trying(prior + straight.score / scale, straight.score))
+        found = self.search.with_shapes(features, found)
+        T, to_tips = found.T_kidney_camera, self._to_tips[found.views]
+        log = self._prior(T, to_tips, before, seconds, sensor) + found.score / scale
+        weight = np.exp(log - log.max())
+        return Hypotheses(T, to_tips, weight / weight.sum()), found.score
+
+    def _worth_trying(self, log: Array, score: Array) -> NDArray[np.int64]:
+        """The most probable views, and those that fit best wherever they are."""
+        s = self.settings
+        probable = np.argsort(-log)[: s.hypotheses - s.best_fitting]
+        return np.union1d(probable, np.argsort(-score)[: s.best_fitting])
+
+    def _prior(
+        self, T: Array, to_tips: Array, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
+    ) -> Array:
+        """Log-probability (N,) of poses before the picture is looked at."""
+        log = np.zeros(len(T))
+        if before is not None:
+            log = transition(before, T, to_tips, seconds, self.motion)
+        if sensor is not None:
+            log = log + sensor.log_probability(T, self.motion.spacing_mm)
+        return log
+
+
+def place(hypotheses: Hypotheses, settings: FilterSettings) -> Array:
+    """The weighted mean pose (4, 4) of the hypotheses at the place of the most probable one."""
+    weight = hypotheses.weight
+    best = int(weight.argmax())
+    return mean_pose(hypotheses.T_kidney_camera, weight, best, settings.same_place_mm, settings.same_place_deg)[0]

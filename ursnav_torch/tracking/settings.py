@@ -1,0 +1,121 @@
+"""How a scope is followed: one settings class a concern; lengths are mm at the kidney's scale 1."""
+
+from dataclasses import dataclass, field
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
+from ursnav_torch.tracking.motion import MotionSettings
+from ursnav_torch.tracking.smooth import SmoothSettings
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """The Bayesian filter over the VID's views.
+
+    Attributes:
+        likelihood_scale: a search score better by this is e times as probable.
+        hypotheses: poses kept from picture to picture.
+        best_fitting: of these, poses that fit best wherever they are, so that a lost filter finds back.
+        same_place_mm, same_place_deg: hypotheses within both of the best are one place; their weighted mean is the
+            pose.
+        incumbent_share: probability of the track's own pose beside the views'.
+        bridge_s: pictures that show nothing are bridged for this long.
+    """
+
+    likelihood_scale: float = 0.15
+    hypotheses: int = 72
+    best_fitting: int = 36
+    same_place_mm: float = NEAR_MM
+    same_place_deg: float = NEAR_DEG
+    incumbent_share: float = 0.5
+    bridge_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.best_fitting < self.hypotheses or self.likelihood_scale <= 0:
+            raise InputError(
+                "Tracking needs 0 < best_fitting < hypotheses and likelihood_scale > 0, got "
+                f"{self.best_fitting}, {self.hypotheses} and {self.likelihood_scale}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ChallengerSettings:
+    """The incumbent pose, and when a challenger takes over from it (hysteresis); scores are the alignment's.
+
+    Attributes:
+        starts: poses that the incumbent is tried to go on from.
+        depth_step_mm: step in depth that is tried; other poses tried are half as far apart at least.
+        reacquire_below: after an alignment that scores less, the track is looked for anew among all hypotheses.
+        challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent.
+        score_step: a challenger whose alignment scores better by this gains a full step.
+        prior_weight: score an alignment is held back by for every e-fold that motion makes its pose less probable,
+            up to ``score_step``.
+        max_step: a single picture counts for no more steps than this.
+        takeover_evidence: so many steps, and the challenger becomes the incumbent.
+    """
+
+    starts: int = 5
+    depth_step_mm: float = 2.0
+    reacquire_below: float = 0.35
+    challenge_below: float = 0.65
+    score_step: float = 0.1
+    prior_weight: float = 0.01
+    max_step: float = 2.0
+    takeover_evidence: float = 3.0
+
+    def __post_init__(self) -> None:
+        if self.starts < 1 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
+            raise InputError(
+                "A challenger needs starts >= 1 and score_step, prior_weight and takeover_evidence > 0, got "
+                f"{self.starts}, {self.score_step}, {self.prior_weight} and {self.takeover_evidence}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class OwnKidneySettings:
+    """The sequential probability ratio test whether pictures show the VID's kidney (Wald 1945).
+
+    Attributes:
+        weights: constant, and weights of an `Evidence`'s score, lead and fit, in the log-odds that a picture shows
+            the VID's kidney and not another: logistic regression over flights through eight phantoms, each in its own
+            and in others' VIDs, plus 1 for a right VID being likelier than a wrong one (`benchmarks.own_kidney`).
+        sensor_gate_sd: a sensor's reading that the pose meets within so many standard deviations speaks for this
+            kidney; the alignment's own noise is among them.
+        max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
+        accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
+            given up.
+        max_sum, min_sum: the sum stays between them: a long good track outlasts a bad stretch.
+        frame_s: time between pictures that these numbers are stated for.
+    """
+
+    weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
+    sensor_gate_sd: float = 3.0
+    max_llr_for: float = 2.0
+    max_llr_against: float = 1.0
+    accept_above: float = 3.0
+    reject_below: float = -4.0
+    max_sum: float = 20.0
+    min_sum: float = -6.0
+    frame_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
+        if len(self.weights) != 4:
+            raise InputError(f"The own-kidney test has 4 weights, got {len(self.weights)}.")
+        bounds = (self.min_sum, self.reject_below, self.accept_above, self.max_sum)
+        if list(bounds) != sorted(bounds) or not self.reject_below < 0 < self.accept_above or self.frame_s <= 0:
+            raise InputError(
+                "The own-kidney test needs min_sum <= reject_below < 0 < accept_above <= max_sum and frame_s > 0, got "
+                f"{bounds} and {self.frame_s}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """How a scope is followed, see each part."""
+
+    filter: FilterSettings = field(default_factory=FilterSettings)
+    challenger: ChallengerSettings = field(default_factory=ChallengerSettings)
+    own_kidney: OwnKidneySettings = field(default_factory=OwnKidneySettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    smoothing: SmoothSettings = field(default_factory=SmoothSettings)
