@@ -16,15 +16,13 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
-from ursnav_torch.tracking.motion import MotionSettings
-from ursnav_torch.tracking.place_search import TrackSettings
-from ursnav_torch.tracking.smooth import SmoothSettings
+from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
-#: The settings classes of a `Tracker` by the names of its arguments.
-SETTINGS_GROUPS: dict[str, Any] = {"settings": TrackSettings, "motion": MotionSettings, "smoothing": SmoothSettings}
+#: The settings classes of a `Tracker` by their names in `TrackSettings`.
+SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -46,7 +44,7 @@ class Choice:
         return [cls(((group, name, float(v)),), odometry) for v in values.split(",")]
 
     def groups(self) -> dict[str, Any]:
-        """Settings objects for the `Tracker`."""
+        """Arguments for the `Tracker`."""
         found: dict[str, Any] = {}
         kinds = SETTINGS_GROUPS
         for group, name, value in self.overrides:
@@ -54,7 +52,7 @@ class Choice:
                 raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
             base = found.get(group, kinds[group]())
             found[group] = replace(base, **{name: type(getattr(base, name))(value)})
-        return found
+        return {"settings": TrackSettings(**found)}
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]

@@ -40,7 +40,7 @@ def turned(vid: Vid, view: int, *, roll_deg: float = 0.0, tilt_deg: tuple[float,
 def test_convention_a_hypothesis_is_turned_as_the_picture_was(
     search: ViewSearch, vid: Vid, renderer: RaycastRenderer, roll_deg: float, tilt_deg: tuple[float, float]
 ) -> None:
-    """Sign of roll and tilt without any refinement: the wrong sign of a tilt is off by 16 degrees, of a roll by more."""
+    """Sign of roll and tilt without any refinement: a wrong sign is off by 16 degrees at least."""
     truth = turned(vid, 3, roll_deg=roll_deg, tilt_deg=tilt_deg)
     found = search.rank(seen(vid, renderer, truth))
     row = int(np.flatnonzero(found.views == 3)[0])
