@@ -62,3 +62,15 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
         read_json(tmp_path / "none.json", "ball")
     with pytest.raises(InputError, match="cannot be read"):
         read_json(tmp_path, "ball")
+
+
+@pytest.mark.parametrize("opened", ["[", '{"a":'])
+def test_nesting_that_no_file_needs_is_refused(tmp_path: Path, opened: str) -> None:
+    closed = "]" if opened == "[" else "}"
+    for depth, fine in ((30, True), (33, False), (500, False)):
+        (tmp_path / "ball.json").write_text(opened * depth + "1" + closed * depth)
+        if fine:
+            read_json(tmp_path / "ball.json", "ball")
+        else:
+            with pytest.raises(InputError, match=r"not readable JSON"):
+                read_json(tmp_path / "ball.json", "ball")

@@ -62,7 +62,7 @@ def test_tables_that_are_none_are_refused_by_line(tmp_path: Path, content: bytes
 def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no poses file .*nowhere\.csv"):
         read_csv(tmp_path / "nowhere.csv", ["a"], "poses")
-    with pytest.raises(InputError, match="not readable as CSV: Is a directory"):
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
         read_csv(tmp_path, ["a"], "poses")
 
 

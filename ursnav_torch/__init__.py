@@ -3,8 +3,12 @@
 Research software, not a medical device.
 """
 
+import os
 from importlib import import_module
 from typing import Any
+
+#: OpenCV reads this when it is imported: a picture of more pixels is refused before memory is taken for it.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "40000000")
 
 _PUBLIC = {
     "Localizer": "localization",

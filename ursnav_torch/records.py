@@ -8,8 +8,12 @@ from typing import Any, TypeVar
 import msgspec
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.inputs import MOST_TEXT_BYTES, read_regular
 
 T = TypeVar("T")
+
+#: Levels of lists and objects in each other; Slicer's markups, the deepest files that are read, have 6.
+DEEPEST = 32
 
 
 def to_record(data: Any, kind: type[T], where: str, only_known: bool = False) -> T:
@@ -39,14 +43,30 @@ def read_json(path: Path, what: str) -> Any:
     """The plain data of a JSON file.
 
     Raises:
-        InputError: missing, not text, not JSON (which knows neither NaN nor infinity) or nested without end;
-            ``what`` names the kind of file.
+        InputError: missing, no regular file, too large, not text, not JSON (which knows neither NaN nor infinity) or
+            nested deeper than `DEEPEST`; ``what`` names the kind of file.
+    """
+    text = read_regular(path, f"{what} file", MOST_TEXT_BYTES)
+    return parse_json(text, f"The {what} file {path}")
+
+
+def parse_json(text: bytes, where: str) -> Any:
+    """The plain data of JSON text, UTF-8.
+
+    Raises:
+        InputError: as `read_json` does; ``where`` begins its sentence.
     """
     try:
-        return msgspec.json.decode(Path(path).read_bytes().removeprefix(b"\xef\xbb\xbf"))
-    except FileNotFoundError:
-        raise InputError(f"There is no {what} file {path}.") from None
-    except OSError as error:
-        raise InputError(f"The {what} file {path} cannot be read: {error.strerror}.") from None
+        data = msgspec.json.decode(text.removeprefix(b"\xef\xbb\xbf"))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"The {what} file {path} is not readable JSON: {error}.") from None
+        raise InputError(f"{where} is not readable JSON: {error}.") from None
+    level = [data]
+    for _ in range(DEEPEST):
+        level = [inner for item in level if isinstance(item, (dict, list)) for inner in _inside(item)]
+        if not level:
+            return data
+    raise InputError(f"{where} is not readable JSON: it is nested more than {DEEPEST} deep, which nothing here is.")
+
+
+def _inside(item: dict[str, Any] | list[Any]) -> Any:
+    return item.values() if isinstance(item, dict) else item

@@ -1,6 +1,7 @@
 """Reading CSV, in one strict way: cells are counted, headers unique, numbers plain, and errors name the line."""
 
 import csv
+import io
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.inputs import MOST_TEXT_BYTES, read_regular
 
 Array = NDArray[np.float64]
 
@@ -84,27 +86,24 @@ def numbers(rows: Sequence[Row], columns: Sequence[str]) -> Array:
 def _lines(path: Path, what: str) -> Iterator[tuple[int, list[str]]]:
     """Number and cells of every line; of those without any word, only the ones with commas and others behind them."""
     blank: list[tuple[int, list[str]]] = []
+    text = read_regular(path, f"{what} file", MOST_TEXT_BYTES)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader, line = csv.reader(file, skipinitialspace=True, strict=True), 1
-            for cells in reader:
-                if any(cell.strip() for cell in cells):
-                    yield from blank
-                    yield line, cells
-                    blank = []
-                elif len(cells) > 1:
-                    blank.append((line, cells))
-                line = reader.line_num + 1
-    except FileNotFoundError:
-        raise InputError(f"There is no {what} file {path}.") from None
+        file = io.StringIO(text.decode("utf-8-sig"), newline="")
+        reader, line = csv.reader(file, skipinitialspace=True, strict=True), 1
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield from blank
+                yield line, cells
+                blank = []
+            elif len(cells) > 1:
+                blank.append((line, cells))
+            line = reader.line_num + 1
     except UnicodeDecodeError:
         raise InputError(
             f"The {what} file {path} is not readable as CSV: it is no text in UTF-8. Save it as 'CSV UTF-8'."
         ) from None
     except csv.Error as error:
         raise InputError(f"The {what} file {path} is not readable as CSV: line {line}: {error}.") from None
-    except OSError as error:
-        raise InputError(f"The {what} file {path} is not readable as CSV: {error.strerror}.") from None
 
 
 def _columns(header: list[str], path: Path, required: Sequence[str], what: str) -> list[str]:

@@ -128,7 +128,7 @@ def test_what_was_collected_is_what_build_vid_reads(vid, renderer, phantom_lumen
         kept.save(tmp_path / "my views", renderer, phantom_lumen, False)
 
 
-@pytest.mark.parametrize("name", ["", "  ", "B", "pelvis", "x" * 41, "a\nb"])
+@pytest.mark.parametrize("name", ["", "  ", "B", "pelvis", "Pelvis", "none", "x" * 41, "a\nb", "../a", "a|b"])
 def test_a_name_that_would_confuse_is_refused(phantom, name):
     with pytest.raises(InputError, match="cannot be called"):
         Collection(phantom).rename("A", name)

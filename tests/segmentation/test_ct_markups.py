@@ -57,7 +57,7 @@ def test_points_that_were_not_placed_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("{", "is not a markups file"),
+        ("{", "not readable JSON"),
         ("{}", "is not a markups file"),
         ('{"markups": []}', "holds no point"),
         ('{"markups": [{"coordinateSystem": "IJK", "controlPoints": []}]}', "save them in LPS or RAS"),

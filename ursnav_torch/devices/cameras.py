@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from ursnav_torch import camera as lenses
 from ursnav_torch.devices.base import Camera, Frame, SourceAtEndError
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.inputs import read_regular
+from ursnav_torch.pictures import MOST_BYTES, decode_picture
 
 logger = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -204,10 +206,7 @@ class FolderCamera(_PlayedCamera):
         if number >= len(self.names):
             raise SourceAtEndError(f"The pictures of {self.folder} are at an end after {len(self.names)}.")
         path = self.folder / self.names[number]
-        try:
-            encoded = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+        encoded = read_regular(path, "picture", MOST_BYTES)
         return decode_image(encoded, str(path)), encoded, path.suffix[1:].lower(), path.name
 
     def _close(self) -> None: ...
@@ -256,14 +255,14 @@ def decode_image(encoded: bytes, where: str) -> Image:
     """The picture in a file's bytes, uint8 (H, W) or (H, W, 3) in OpenCV's order; 16 bits are scaled by its maximum.
 
     Raises:
-        InputError: the bytes are no picture; ``where`` names them.
+        InputError: the bytes are no picture, or too large a one; ``where`` names them.
     """
-    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED) if encoded else None
+    image = decode_picture(encoded, where)
     if image is None:
         raise InputError(f"{where} is not a picture that can be read.")
     if image.dtype != np.uint8:
         image = cv2.convertScaleAbs(image, alpha=255.0 / max(float(image.max()), 1.0))
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., :3])
+    return np.asarray(image if image.ndim == 2 else np.ascontiguousarray(image[..., :3]), np.uint8)
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -10,6 +9,8 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
+from ursnav_torch.inputs import read_regular
+from ursnav_torch.pictures import MOST_BYTES, decode_picture
 
 #: File name endings that runners take for pictures.
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -21,18 +22,13 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     Transparency is dropped; 16 bits are scaled by the picture's own maximum, since cameras fill 10 to 16 of them.
 
     Raises:
-        InputError: missing, empty, cut short or not a picture.
+        InputError: missing, no regular file, empty, cut short, too large or not a picture.
     """
     path = Path(path)
-    try:
-        data = np.fromfile(path, np.uint8)
-    except FileNotFoundError:
-        raise InputError(f"There is no image {path}.") from None
-    except OSError as error:
-        raise InputError(f"The image {path} cannot be read: {error.strerror}.") from None
-    if _cut_short(path, data):
+    data = read_regular(path, "image", MOST_BYTES)
+    if _cut_short(data):
         raise InputError(f"The image {path.name} is cut short ({len(data)} bytes, its end is missing); copy it again.")
-    image = _decode(data) if len(data) else None
+    image = decode_picture(data, path.name)
     if image is None:
         raise InputError(f"{path.name} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
     if not np.isfinite(image).all():
@@ -70,30 +66,20 @@ def signal(image: NDArray[np.uint8]) -> Tensor:
     return x @ (weight / weight.sum())
 
 
-def _decode(data: NDArray[np.uint8]) -> NDArray[np.generic] | None:
-    """The picture in a file's bytes, None where there is none; OpenCV's own words about it stay unsaid."""
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        return None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-
-
 def _to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
-    x = np.maximum(image.astype(np.float64), 0)
+    x = np.maximum(image.astype(np.float64 if image.dtype.itemsize > 4 else np.float32), 0)
     top = float(x.max())
-    return np.round(x * (255 / top if top > 0 else 0)).astype(np.uint8)
+    x *= 255 / top if top > 1e-30 else 0
+    return np.rint(x, out=x).astype(np.uint8)
 
 
-def _cut_short(path: Path, data: NDArray[np.uint8]) -> bool:
+def _cut_short(data: bytes) -> bool:
     """Whether a JPEG or PNG ends early; OpenCV would fill in the missing part without a word."""
-    head, tail = data[:8].tobytes(), data[-64:].tobytes()
+    head, tail = data[:8], data[-64:]
     if head[:3] == b"\xff\xd8\xff":
         return b"\xff\xd9" not in tail
     if head == b"\x89PNG\r\n\x1a\n":

@@ -14,6 +14,12 @@ from ursnav_torch.errors import InputError
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+#: The row `pelvis` of a calyces file is a point in the pelvis; `none` in a set of calyces is a picture without one.
+RESERVED_NAMES = ("pelvis", "none")
+MOST_NAME = 40
+#: What parts names in a list, and folders in a path.
+_SIGNS = "|/\\"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calyx:
@@ -28,6 +34,26 @@ class Calyx:
     name: str
     tip_mm: Array
     pole: str = ""
+
+    def __post_init__(self) -> None:
+        check_calyx_name(self.name)
+
+
+def check_calyx_name(name: str) -> None:
+    """Refuse a name that would mean something else in a file, in a list of names, or as part of a file's name.
+
+    Raises:
+        InputError: naming what is wrong.
+    """
+    wrong = ""
+    if not name.strip() or name != name.strip() or not name.isprintable() or len(name) > MOST_NAME:
+        wrong = f"it has 1 to {MOST_NAME} printable characters, without blanks at its ends"
+    elif name.casefold() in RESERVED_NAMES:
+        wrong = f"{' and '.join(RESERVED_NAMES)} mean something else"
+    elif set(name) & set(_SIGNS) or name.startswith("."):
+        wrong = f"it has none of {' '.join(_SIGNS)} and no dot in front"
+    if wrong:
+        raise InputError(f"A calyx cannot be called {name[:80]!r}: {wrong}.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

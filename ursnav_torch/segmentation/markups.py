@@ -1,6 +1,5 @@
 """3D Slicer's markups (.mrk.json): points for calyces and landmarks, curves for a centerline."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import T_RAS_LPS, apply
 from ursnav_torch.kidney.anatomy import Calyx
+from ursnav_torch.records import read_json
 
 Array = NDArray[np.float64]
 
@@ -38,11 +38,9 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
         InputError: missing, not such a file, in units other than mm, or without a point.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        data = read_json(Path(path), "markups")
         markups = tuple(_markup(m) for m in data["markups"])
-    except FileNotFoundError:
-        raise InputError(f"There is no markups file {path}.") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is not a markups file of 3D Slicer ({type(error).__name__}: {error}).") from None

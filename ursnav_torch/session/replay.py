@@ -1,6 +1,5 @@
 """Reading a session back, whole or cut off."""
 
-import json
 import logging
 import zlib
 from collections.abc import Iterator
@@ -10,11 +9,17 @@ from typing import Any
 from ursnav_torch.devices import Frame
 from ursnav_torch.devices.cameras import decode_image
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import partial_path
+from ursnav_torch.inputs import read_regular
+from ursnav_torch.locks import partial_path
+from ursnav_torch.pictures import MOST_BYTES
+from ursnav_torch.records import parse_json, read_json, to_record
 from ursnav_torch.session.events import Event, Result, Snapshot, from_line, stamp_of
-from ursnav_torch.session.record import ABOUT, EVENTS, FORMAT
+from ursnav_torch.session.record import ABOUT, EVENTS, FORMAT, FRAMES
 
 logger = logging.getLogger(__name__)
+
+#: Bytes of a line; the longest that is written, a result's, has some hundred.
+LONGEST_LINE = 1 << 20
 
 
 class Replay:
@@ -71,15 +76,15 @@ class Replay:
 
     def results(self) -> list[Result]:
         """The results as they were recorded."""
-        events = (from_line(data) for data in self._lines() if data["kind"] == "result")
+        events = (self._event(data, None) for data in self._lines() if data["kind"] == "result")
         return [event for event in events if isinstance(event, Result)]
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         with (self.path / EVENTS).open("rb") as file:
-            for raw in file:
+            while raw := file.readline(LONGEST_LINE):
                 try:
-                    data = json.loads(raw) if raw.endswith(b"\n") else None
-                except ValueError:
+                    data = parse_json(raw, "the line") if raw.endswith(b"\n") else None
+                except InputError:
                     data = None
                 if isinstance(data, dict) and "kind" in data and "stamp" in data:
                     yield data
@@ -94,7 +99,7 @@ class Replay:
             if isinstance(event, Snapshot):
                 return Snapshot(event.stamp, self._snapshot_frame(data, last), event.tracker, event.robot)
             return event
-        except (KeyError, TypeError, ValueError, OSError) as error:
+        except (KeyError, TypeError, ValueError, OSError, OverflowError) as error:
             logger.debug("%s: %s", self.path, error)
             self.damaged += 1
             return None
@@ -103,15 +108,26 @@ class Replay:
         """The picture of a frame's line, byte for byte.
 
         Raises:
-            OSError: the file is missing.
+            InputError: the file is missing, is not in the record's folder, or is no regular file.
             ValueError: the file is not the one that was written.
         """
-        encoded = (self.path / str(data["file"])).read_bytes()
+        encoded = read_regular(self._inside(str(data["file"])), "picture", MOST_BYTES)
         if len(encoded) != data["bytes"] or zlib.crc32(encoded) != data["crc32"]:
             raise ValueError(f"{data['file']} is damaged")
         image = decode_image(encoded, str(data["file"]))
         kept = encoded if data["kept"] else None
         return Frame(stamp_of(data), image, kept, str(data["suffix"]), str(data["source"]))
+
+    def _inside(self, name: str) -> Path:
+        """The path of a picture that a line names; nothing leads out of the record, a link neither.
+
+        Raises:
+            InputError: it lies elsewhere.
+        """
+        path = self.path / name
+        if not path.resolve().is_relative_to((self.path / FRAMES).resolve()):
+            raise InputError(f"{name} does not lie among the pictures of the record.")
+        return path
 
     def _snapshot_frame(self, data: dict[str, Any], last: Frame | None) -> Frame | None:
         return last if last and data["frame"] == last.stamp.sequence else None
@@ -119,11 +135,12 @@ class Replay:
     def _read_about(self) -> dict[str, Any]:
         """What the record says about itself; nothing where a crash has spoiled it."""
         try:
-            about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            about = to_record(read_json(self.path / ABOUT, "record"), dict[str, Any], f"{self.path / ABOUT}")
+            newest = int(about.get("format", FORMAT))
+        except (ValueError, TypeError):
             logger.warning("%s: %s is missing or cut; versions and configuration are unknown.", self.path, ABOUT)
             return {}
-        if about.get("format", FORMAT) > FORMAT:
+        if newest > FORMAT:
             raise InputError(
                 f"{self.path} has record format {about['format']}, this version reads up to {FORMAT}; "
                 "update ursnav-torch."
@@ -134,5 +151,5 @@ class Replay:
 def _time(data: dict[str, Any]) -> float | None:
     try:
         return float(data["stamp"][1])
-    except (TypeError, ValueError, IndexError, KeyError):
+    except (TypeError, ValueError, IndexError, KeyError, OverflowError):
         return None

@@ -17,6 +17,7 @@ from ursnav_torch.features import settings_from_dict, settings_to_dict
 from ursnav_torch.files import write_csv
 from ursnav_torch.geometry import quaternion_from_transform, transform_from_quaternion
 from ursnav_torch.kidney import Kidney, read_calyces, read_centerline, write_calyces, write_centerline
+from ursnav_torch.records import read_json
 from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import check_features, load_features, save_features
@@ -125,10 +126,10 @@ def _read_description(folder: Path) -> dict[str, Any]:
             "from where it stopped."
         )
     try:
-        description = json.loads(path.read_text(encoding="utf-8"))
+        description = read_json(path, "VID's description")
         format_, files = description["format"], description["sha256"]
-        whole = description["checksum"] == _checksum(description)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        whole = isinstance(files, dict) and description["checksum"] == _checksum(description)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is not the description of a VID ({type(error).__name__}: {error}).") from None
     if format_ != FORMAT:
         raise InputError(f"{folder} has VID format {format_}, this version reads {FORMAT}; build it again.")

@@ -1,0 +1,57 @@
+"""A picture's size is known before it is decoded."""
+
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import read_image
+from ursnav_torch.pictures import MOST_PIXELS, decode_picture
+
+
+def huge_png(width: int, height: int) -> bytes:
+    """A black PNG, a thousand times smaller than its picture."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer, rows = zlib.compressobj(1), bytes(width + 1) * 100
+    data = b"".join(packer.compress(rows) for _ in range(height // 100)) + packer.flush()
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(("side", "match"), [(7000, "has 7000 x 7000 px"), (30_000, "has more than 178 megapixels")])
+def test_a_small_file_of_a_huge_picture_takes_no_memory(tmp_path: Path, side: int, match: str) -> None:
+    (tmp_path / "huge.png").write_bytes(huge_png(side, side))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match=rf"{match}; at most 40 megapixels are read"):
+        read_image(tmp_path / "huge.png")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000, "KiB"
+
+
+def test_opencvs_own_limit_holds_for_what_no_other_library_reads() -> None:
+    program = "import ursnav_torch, os, cv2, numpy as np; print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == MOST_PIXELS
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".jpg"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(20, 30), (20, 30, 3)])
+def test_pictures_of_every_kind_are_decoded_as_opencv_does(suffix: str, dtype: type, shape: tuple[int, ...]) -> None:
+    if dtype == np.uint16 and suffix in (".bmp", ".jpg"):
+        pytest.skip("this format has 8 bits")
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
+    encoded = cv2.imencode(suffix, image)[1].tobytes()
+    found = decode_picture(encoded, "x")
+    assert found is not None and found.dtype == dtype
+    np.testing.assert_array_equal(found, cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED))
+    assert decode_picture(b"", "x") is None and decode_picture(encoded[:9], "x") is None
