@@ -305,3 +305,17 @@ def test_a_calyx_named_and_a_view_taken_by_hand_are_read_back(browser, vid, rend
         tab.tab.close()
     finally:
         page.close()
+
+
+def test_another_sites_page_cannot_show_ours_to_steal_clicks(page, browser):
+    """Click-jacking: a page from elsewhere frames ours, unseen, below what it wants to be clicked."""
+    tab = browser.new_page()
+    try:
+        tab.goto("data:text/html,<h1>elsewhere</h1>")
+        tab.set_content(f'<iframe src="{page.url}" width="900" height="700" style="opacity:.01"></iframe>')
+        tab.wait_for_timeout(3000)
+        framed = [frame for frame in tab.frames if frame != tab.main_frame]
+        assert framed and not any(frame.query_selector("#root *") for frame in framed)
+        assert all("STOP" not in (frame.content() or "") for frame in framed)
+    finally:
+        tab.close()

@@ -6,6 +6,7 @@ import pytest
 
 from ursnav_torch.errors import UrsnavError
 from ursnav_torch.page import start_server
+from ursnav_torch.page.bounds import Bounds
 from ursnav_torch.page.guard import guarded_server, why_refused
 from ursnav_torch.page.server import stop_server
 
@@ -38,11 +39,30 @@ def status(port, host, origin=None, upgrade=False):
     return found
 
 
-@pytest.mark.parametrize("upgrade", [False, True], ids=["page", "websocket"])
 @pytest.mark.parametrize("host", ["127.0.0.1:PORT", "localhost:PORT", "[::1]:PORT"])
-def test_own_pages_and_programs_without_an_origin_are_let_in(port, host, upgrade):
-    for origin in (None, f"http://{host}"):
-        assert status(port, host, origin, upgrade) == (101 if upgrade else 200)
+def test_own_pages_are_let_in(port, host):
+    assert status(port, host, None) == status(port, host, f"http://{host}") == 200
+    assert status(port, host, f"http://{host}", upgrade=True) == 101
+
+
+def test_programs_without_an_origin_are_let_in_only_where_that_is_asked_for(port):
+    assert status(port, "127.0.0.1:PORT", None, upgrade=True) == 403
+    server = start_server("127.0.0.1", 0, "open", programs=True)
+    try:
+        assert status(server.get_port(), "127.0.0.1:PORT", None, upgrade=True) == 101
+        assert status(server.get_port(), "127.0.0.1:PORT", "http://evil.example", upgrade=True) == 403
+    finally:
+        stop_server(server)
+
+
+@pytest.mark.parametrize("path", ["/", "/nowhere", "/../x"])
+def test_every_answer_says_that_no_other_page_may_show_it(port, path):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path)
+    headers = connection.getresponse().headers
+    connection.close()
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"] and headers["X-Frame-Options"] == "DENY"
+    assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
 
 
 @pytest.mark.parametrize("upgrade", [False, True], ids=["page", "websocket"])
@@ -89,8 +109,8 @@ def test_a_server_that_came_up_without_a_guard_is_stopped_again(monkeypatch):
     from ursnav_torch.page import server
 
     @contextlib.contextmanager
-    def unasked():
-        yield
+    def unasked(programs):
+        yield Bounds()
         raise UrsnavError("cannot be guarded")
 
     monkeypatch.setattr(server, "guarded_server", unasked)

@@ -52,6 +52,8 @@ def fly(
 
 def pick_wall(scene: RayScene, origin_mm: Array, direction: Array) -> Array | None:
     """The place (3,) where a ray from outside meets the wall first; None where it passes by."""
+    if not np.linalg.norm(direction) > 0:
+        return None
     way = np.asarray(direction, float) / np.linalg.norm(direction)
     depth, _ = scene.cast(np.asarray(origin_mm, float)[None], way[None])
     return np.asarray(origin_mm, float) + depth[0] * way if np.isfinite(depth[0]) else None

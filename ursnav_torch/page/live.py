@@ -36,6 +36,7 @@ class LivePage:
         navigator: what to show.
         controls: what steers its session.
         host, port: where to listen; this computer only.
+        programs: let programs that are no browsers connect, too.
 
     Raises:
         InputError: another address than this computer's, or a port that is taken.
@@ -43,10 +44,15 @@ class LivePage:
     """
 
     def __init__(
-        self, navigator: Navigator, controls: SessionControls, host: str = "127.0.0.1", port: int = 8080
+        self,
+        navigator: Navigator,
+        controls: SessionControls,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        programs: bool = False,
     ) -> None:
         self.navigator, self.controls, self._vid = navigator, controls, navigator.vid
-        self.server = start_server(host, port, "ursnav")
+        self.server = start_server(host, port, "ursnav", programs)
         self.url = f"http://127.0.0.1:{self.server.get_port()}"
         self._pictures = Pictures(self._vid)
         self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
@@ -181,10 +187,14 @@ class LivePage:
 
 @contextmanager
 def web_page(
-    navigator: Navigator, controls: SessionControls, host: str = "127.0.0.1", port: int = 8080
+    navigator: Navigator,
+    controls: SessionControls,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    programs: bool = False,
 ) -> Iterator[LivePage]:
     """A `LivePage` for as long as the session runs; says where it is."""
-    page = LivePage(navigator, controls, host, port)
+    page = LivePage(navigator, controls, host, port, programs)
     print(f"page: {page.url}", file=sys.stderr, flush=True)
     try:
         yield page

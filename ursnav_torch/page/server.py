@@ -44,13 +44,14 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
+def start_server(host: str, port: int, title: str, programs: bool = False) -> "viser.ViserServer":
     """A running server without content.
 
     Args:
         host: 127.0.0.1.
         port: 0 takes any that is free.
         title: of the page.
+        programs: let programs that are no browsers connect, too.
 
     Raises:
         InputError: see `check_address`.
@@ -69,8 +70,9 @@ def start_server(host: str, port: int, title: str) -> "viser.ViserServer":
     quiet = contextlib.redirect_stdout(io.StringIO())  # viser's banner: standard output is for results
     server = None
     try:
-        with quiet, guarded_server():
+        with quiet, guarded_server(programs) as bounds:
             server = LocalServer(host=host, port=port or free_port(), label=title, verbose=False)
+            bounds.server = server
     except UrsnavError:
         if server is not None:
             stop_server(server)
