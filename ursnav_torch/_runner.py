@@ -18,6 +18,7 @@ import hydra
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue
 
+from ursnav_torch._help import help_text
 from ursnav_torch.disk import disk_sentence
 from ursnav_torch.errors import UrsnavError
 
@@ -53,6 +54,9 @@ def runner(config_name: str, paths: Sequence[str] = ()) -> Callable[[Callable[[A
     def decorate(task: Callable[[Any], int | None]) -> Callable[[], None]:
         @functools.wraps(task)
         def main() -> None:
+            if {"-h", "--help"} & set(sys.argv[1:]):
+                print(help_text(Path(config_dir()) / f"{config_name}.yaml"))
+                return
             sys.argv[1:] = [quote_path(argument, {*_COMMON_PATHS, *paths}) for argument in sys.argv[1:]]
             started = False
 

@@ -1,7 +1,6 @@
 """One writer a result: an advisory lock beside it, which the system lets go when its process dies, however it dies."""
 
 import errno
-import fcntl
 import os
 import socket
 import threading
@@ -10,6 +9,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ursnav_torch.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows, where two runs are not kept apart
+    fcntl = None  # type: ignore[assignment]
 
 #: What file systems without locks answer; there two runs are not kept apart.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -63,7 +67,7 @@ def _acquire(path: Path) -> int:
     """Descriptor of the locked file, which is still the one of that name."""
     file = lock_path(path)
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
         try:
             _flock(descriptor, path)
             if _is_named(descriptor, file):
@@ -77,6 +81,8 @@ def _acquire(path: Path) -> int:
 
 
 def _flock(descriptor: int, path: Path) -> None:
+    if fcntl is None:
+        return
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

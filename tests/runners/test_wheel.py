@@ -45,6 +45,9 @@ def test_the_wheel_holds_code_and_configurations_and_no_more(wheel: Path) -> Non
     for path in [*ROOT.glob("ursnav_torch/**/*.py"), *ROOT.glob("configs/**/*.yaml")]:
         inside = path.relative_to(ROOT).as_posix()
         assert (inside if inside.startswith("ursnav") else f"ursnav_torch/{inside}") in names
+    for path in ROOT.glob("ursnav_torch/*/templates/*"):
+        assert path.relative_to(ROOT).as_posix() in names, "pages need their templates"
+    assert "ursnav_torch/py.typed" in names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"ursnav_torch"}
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
@@ -54,6 +57,10 @@ def test_runners_answer_from_another_folder(python: Path, tmp_path: Path) -> Non
     assert str(python.parents[2]) in where, "the wheel, not the checkout"
     assert "build_vid" in ran(python, "-m", "ursnav_torch", cwd=tmp_path).stdout
     assert "images:" in ran(python, "-m", "ursnav_torch.match", "--help", cwd=tmp_path).stdout
+    ursnav = "from ursnav_torch.__main__ import main; main()"
+    assert "images:" in ran(python, "-c", ursnav, "match", "--help", cwd=tmp_path).stdout
+    page = "from ursnav_torch.reports.html import render_page as r; print(r('base.html.j2', title='T'))"
+    assert "color-scheme" in ran(python, "-c", page, cwd=tmp_path).stdout
     assert not list(tmp_path.iterdir())
 
 

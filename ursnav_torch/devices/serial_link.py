@@ -1,10 +1,9 @@
 """Bytes over a serial port, with a deadline on every read and one kind of error for a pulled plug."""
 
-import termios
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import serial
 
@@ -12,6 +11,13 @@ from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, De
 
 LONGEST_LINE = 2048
 POLL_S = 0.02
+
+#: What pyserial raises when the device behind a port is gone.
+_GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
+with suppress(ImportError):  # Windows has no termios
+    import termios
+
+    _GONE += (termios.error,)
 
 
 class SerialLink:
@@ -115,5 +121,5 @@ class SerialLink:
             yield
         except (serial.SerialTimeoutException, DeviceTimeoutError):
             raise
-        except (serial.SerialException, OSError, termios.error, TypeError) as error:
+        except _GONE as error:
             raise DeviceNotConnectedError(f"{self.port} is gone ({error}); was it unplugged?") from error

@@ -23,7 +23,7 @@ from ursnav_torch.session.run import Observer, Summary, Worker, run_session
 from ursnav_torch.session.source import Source
 
 #: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
 
 
 @dataclass(frozen=True, slots=True)

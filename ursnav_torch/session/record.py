@@ -111,7 +111,7 @@ class Recorder:
         os.write(self._events, (to_line(event, **extra) + "\n").encode("utf-8"))
         now = time.monotonic()
         if now - self._synced_s > SYNC_S:
-            os.fdatasync(self._events)
+            getattr(os, "fdatasync", os.fsync)(self._events)
             self._synced_s = now
 
     def _save(self, frame: Frame) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import os
 import select
 import threading
 import time
-import tty
 from typing import Protocol
 
 
@@ -23,6 +22,8 @@ class SimulatedPort:
     """
 
     def __init__(self, board: Board, period_s: float = 0.005) -> None:
+        import tty  # here, so that what only replays can be imported where there is none
+
         self.board = board
         self._period_s = period_s
         self._master, self._slave = os.openpty()

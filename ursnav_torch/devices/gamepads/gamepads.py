@@ -3,9 +3,7 @@
 import os
 import select
 import sys
-import termios
 import time
-import tty
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +122,13 @@ class KeyboardGamepad(Gamepad):
     def _open(self) -> None:
         if not os.isatty(self._fd()):
             raise DeviceNotConnectedError("The keyboard needs a terminal; standard input is none.")
+        try:
+            import termios
+            import tty
+        except ImportError:
+            raise DeviceNotConnectedError(
+                "The keyboard as a gamepad needs a POSIX terminal, which this system has none of; use gamepad=pygame."
+            ) from None
         self._saved = termios.tcgetattr(self._fd())
         tty.setcbreak(self._fd())
         if self._terminal is None:
@@ -131,6 +136,8 @@ class KeyboardGamepad(Gamepad):
 
     def _close(self) -> None:
         if self._saved is not None:
+            import termios
+
             termios.tcsetattr(self._fd(), termios.TCSADRAIN, self._saved)
             self._saved = None
 
