@@ -143,3 +143,41 @@ def test_every_robot_obeys_gate_watchdog_and_faults():
         robot.stop()
     robot.stop()
     assert not robot.is_connected and robot.gate.state == "disarmed"
+
+
+class OvertakenRobot(ToyRobot):
+    """A stop by another thread comes while a command is on its way to the controller."""
+
+    def __init__(self, overtake, **settings):
+        super().__init__(**settings)
+        self._overtake = overtake
+
+    def _send(self, rates):
+        sent = super()._send(rates)
+        self._overtake(self)
+        return sent
+
+
+@pytest.mark.parametrize(
+    ("overtake", "last"), [(lambda r: r.emergency_stop("now"), "kill"), (lambda r: r.disarm(), "halt")]
+)
+def test_a_stop_that_a_command_may_have_overtaken_is_said_once_more(overtake, last):
+    """The controller may have got the stop first, and then the motion: it must hear the stop last."""
+    forward = JointRates(insertion_mm_s=2.0)
+    with OvertakenRobot(overtake) as robot:
+        robot.arm()
+        robot.command(forward, True)
+        assert robot.told == [forward, last, last]
+        robot.told.clear()
+        assert robot.command(forward, True).sent.is_zero and forward not in robot.told
+
+
+def test_a_link_that_fails_after_a_stop_reports_the_stop():
+    def stop_and_fail(robot):
+        robot.emergency_stop("now")
+        raise DeviceTimeoutError("silent")
+
+    with OvertakenRobot(stop_and_fail) as robot:
+        robot.arm()
+        sample = robot.command(JointRates(insertion_mm_s=2.0), True)
+        assert sample.sent.is_zero and sample.reason == "stopped: now"

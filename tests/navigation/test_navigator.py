@@ -98,6 +98,28 @@ def test_a_fault_in_one_picture_neither_ends_navigation_nor_is_hidden(navigator,
         assert navigator.wait() and navigator.located == 1
 
 
+def test_a_fault_makes_the_tracker_begin_anew(navigator, vid, renderer, monkeypatch):
+    """Whatever broke must not last: what is half done is forgotten, and the scope found again."""
+    forgotten, reset = [], navigator.tracker.reset
+    monkeypatch.setattr(navigator.tracker, "reset", lambda: forgotten.append(navigator.located) or reset())
+    with navigator:
+        for frame, T in frames(vid, renderer, pictures=12):  # noqa: B007
+            if frame.stamp.sequence == 6:
+                with monkeypatch.context() as broken:
+                    broken.setattr(navigator.tracker, "follow", lambda *_: 1 / 0)
+                    navigator.take(frame)
+                    assert navigator.wait(60.0)
+                continue
+            navigator.take(frame)
+            assert navigator.wait(60.0)
+        rows = [r.row for r in navigator.results()]
+    assert forgotten == [6]
+    assert "ZeroDivisionError" in rows[6]["error"]
+    states = [row.get("state") for row in rows]
+    assert states[5] == "tracking" and states[7] == "searching" and states[-1] == "tracking"
+    assert np.linalg.norm([rows[-1][k] - x for k, x in zip(("x_mm", "y_mm", "z_mm"), T[:3, 3], strict=True)]) < 2.0
+
+
 def test_an_old_pose_and_a_stopped_robot_are_said(navigator, vid, renderer, monkeypatch):
     monkeypatch.setattr("ursnav_torch.navigation.navigator.STALE_S", 0.2)
     frame = next(frames(vid, renderer))[0]

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
 from ursnav_torch.tracking.settings import OwnKidneySettings
@@ -30,6 +31,30 @@ def test_a_long_good_track_outlasts_a_bad_stretch_but_not_any() -> None:
 
 def test_what_counts_is_time_not_pictures() -> None:
     np.testing.assert_allclose(after(GOOD, 5, seconds=0.02).trust, after(GOOD, 1).trust)
+
+
+def test_a_gap_counts_as_four_pictures_and_no_more() -> None:
+    np.testing.assert_allclose(after(GOOD, 1, seconds=60.0).trust, after(GOOD, 4).trust)
+    np.testing.assert_allclose(after(BAD, 1, seconds=60.0).trust, after(BAD, 4).trust)
+
+
+def test_the_sum_is_believed_from_3_given_up_at_minus_4_and_stays_between_minus_6_and_20() -> None:
+    test = OwnKidneyTest(OwnKidneySettings())
+    for trust, verdict in ((2.99, None), (3.0, True), (-3.99, None), (-4.0, False)):
+        test.trust = trust
+        assert test.verdict is verdict
+    assert after(GOOD, 1000).trust == 20.0 and after(BAD, 1000).trust == -6.0
+
+
+def test_a_picture_counts_by_its_weighted_evidence_within_limits() -> None:
+    s = OwnKidneySettings(weights=(-4.0, 10.0, 5.0, -2.0))
+    assert Evidence(0.5, 0.1, 0.8).log_odds(s) == pytest.approx(-4.0 + 5.0 + 0.5 - 1.6)
+    assert Evidence(0.5, 0.1, 0.8, off=2.5).log_odds(s) == pytest.approx(-0.1 + 0.5)
+    assert Evidence(0.5, 0.1, 0.8, off=50.0).log_odds(s) == pytest.approx(-1.0)  # a sensor that is wrong: -1.1, cut
+    assert (
+        Evidence(1.0, 1.0, 0.0).log_odds(s) == s.max_llr_for
+        and Evidence(0.0, 0.0, 2.0).log_odds(s) == -s.max_llr_against
+    )
 
 
 def test_every_kind_of_evidence_counts_its_way() -> None:

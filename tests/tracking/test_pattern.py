@@ -50,6 +50,21 @@ def likeness(a: Features, b: Features) -> float:
     return float(torch.corrcoef(torch.stack([a.fields[0].flatten(), b.fields[0].flatten()]))[0, 1])
 
 
+def test_the_first_picture_counts_as_one_of_five_and_old_ones_fade(
+    extractor: DefaultExtractor, picture: np.ndarray
+) -> None:
+    """Against four pictures of no pattern: one picture's own relief is no pattern yet."""
+    pattern, features = ScopePattern(extractor), extractor.extract(picture)
+    assert pattern.value() is None
+    relief, flat = features.fields[0], np.zeros((40, 40), np.float32)
+    pattern.learn(features, flat, HERE)
+    torch.testing.assert_close(pattern.value(), relief / 5)
+    for _ in range(400):
+        pattern.learn(features, flat, HERE)
+    torch.testing.assert_close(pattern.value(), relief * (1 / 0.03) / (1 / 0.03 + 4.0), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(pattern.removed(features).fields[0], relief - pattern.value())
+
+
 def test_nothing_learned_nothing_removed(vid: Vid, picture: np.ndarray, extractor: DefaultExtractor) -> None:
     features = extractor.extract(picture)
     assert ScopePattern(extractor).removed(features) is features

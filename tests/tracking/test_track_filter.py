@@ -13,6 +13,8 @@ from ursnav_torch.features import ThesisSettings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.motion import Hypotheses
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import FilterSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
@@ -105,6 +107,52 @@ def test_the_sensor_tells_where_to_look(fresh: Tracker, phantom: Kidney, rendere
     image = renderer.render(pose).image
     answers = [fresh.step(image, i / 10, sensor) for i in range(5)]
     assert off_mm(answers[-1:], pose[None])[0] < 0.8
+
+
+def test_the_sensor_is_fused_into_the_smoothed_pose(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    """A reading a millimeter aside draws the answer there, and the aligned pose hardly."""
+    poses = flight(phantom, 2)
+    moments = [Moment(i, i / 10, renderer.render(T).image, str(i)) for i, T in enumerate(poses)]
+    source, drawn, aligned = Source(lambda: iter(moments), len(moments), "pictures"), {}, {}
+    for sigma in (None, 0.4):
+
+        def aside(moment: Moment, sigma: float | None = sigma) -> SensorReading | None:
+            T = poses[moment.frame]
+            return None if sigma is None else SensorReading(T[:3, 3] + T[:3, 0], np.zeros(3), sigma)
+
+        fresh.reset()
+        answers = [tracked for _, tracked in follow_source(fresh, source, aside)]
+        assert {a.state for a in answers[-3:]} == {TRACKING}
+        drawn[sigma], aligned[sigma] = (
+            np.mean([(T_found[:3, 3] - T[:3, 3]) @ T[:3, 0] for T_found, T in zip(found[-3:], poses[-3:], strict=True)])
+            for found in ([a.T_kidney_camera for a in answers], [a.T_aligned for a in answers])
+        )
+    assert 0.3 < drawn[0.4] - drawn[None] < 1.0
+    assert abs(aligned[0.4] - aligned[None]) < 0.2
+
+
+def test_confidence_is_what_the_hypotheses_say_of_the_calyx(
+    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of it is their vote: where all of them observe another calyx, half is left."""
+    poses = flight(phantom, 2)
+    sure = follow(fresh, renderer, poses)[-1]
+    elsewhere = fresh.vid.T_kidney_camera[fresh.vid.calyx == 5]
+    update = type(fresh._filter).update
+
+    def contradicted(*given: object) -> tuple[Hypotheses, np.ndarray]:
+        found, fits = update(*given)
+        there = Hypotheses(elsewhere, fresh.lumen.to_calyces(elsewhere[:, :3, 3]), np.full(len(elsewhere), 1e-3))
+        both = [
+            np.concatenate([getattr(found, name), getattr(there, name)]) for name in ("T_kidney_camera", "to_tips_mm")
+        ]
+        weight = np.concatenate([1e-9 * found.weight, there.weight])
+        return Hypotheses(both[0], both[1], weight / weight.sum()), np.append(fits, np.zeros(len(elsewhere)))
+
+    monkeypatch.setattr(type(fresh._filter), "update", contradicted)
+    unsure = fresh.step(renderer.render(poses[-1]).image, len(poses) / 10)
+    assert sure.confidence > 0.9 and unsure.state == TRACKING and unsure.calyx == sure.calyx == 2
+    assert unsure.confidence == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.slow

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.geometry import look_along
+from ursnav_torch.geometry import look_along, rotation_angle
 from ursnav_torch.scaling import scaled
 from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
 from ursnav_torch.tracking.smooth import PoseFilter, SmoothSettings
@@ -55,6 +56,44 @@ def test_smoothing_keeps_a_steady_track_and_calms_a_noisy_one() -> None:
     assert np.linalg.norm(steady[:3, 3] - at(14.5)[:3, 3]) < 0.15
     assert np.linalg.norm(calmed[:3, 3] - at(14.5)[:3, 3]) < 0.7
     np.testing.assert_allclose(calmed[:3, :3] @ calmed[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_rotation_is_smoothed_too_and_follows_a_steady_turn() -> None:
+    rng, still, turning = np.random.default_rng(1), PoseFilter(), PoseFilter()
+    axis, noise = np.array([0.0, 0.0, 1.0]), np.radians(rng.normal(0, 2.0, 60))
+    rough, calm, behind = [], [], []
+    for i in range(60):
+        shaken = np.eye(4)
+        shaken[:3, :3] = Rotation.from_rotvec(noise[i] * axis).as_matrix()
+        rough.append(abs(noise[i]))
+        calm.append(rotation_angle(still.update(shaken, i / 10, 0.8), np.eye(4)))
+        steady = np.eye(4)
+        steady[:3, :3] = Rotation.from_rotvec(np.radians(2.0 * i) * axis).as_matrix()  # 20 degrees a second
+        behind.append(rotation_angle(turning.update(steady, i / 10, 0.8), steady))
+    assert np.mean(calm[10:]) < 0.85 * np.mean(rough[10:])
+    assert np.degrees(behind[-1]) < 1.5
+
+
+def test_a_badly_aligned_pose_turns_the_track_less() -> None:
+    turned, aside = [], np.eye(4)
+    aside[:3, :3] = Rotation.from_rotvec([0.0, np.radians(20.0), 0.0]).as_matrix()
+    for score in (0.8, 0.4):
+        track = PoseFilter()
+        for i in range(10):
+            track.update(np.eye(4), i / 10, 0.8)
+        turned.append(rotation_angle(track.update(aside, 1.0, score), np.eye(4)))
+    assert 0 < turned[1] < 0.3 * turned[0]
+
+
+def test_a_position_known_besides_draws_the_pose_as_far_as_it_is_sure() -> None:
+    drawn = []
+    for sigma in (0.2, 2.0):
+        track = PoseFilter()
+        for i in range(10):
+            track.update(np.eye(4), i / 10, 0.8)
+        track.measure(np.array([1.0, 0.0, 0.0]), sigma)
+        drawn.append(track.pose()[0, 3])
+    assert 0.3 < drawn[0] < 0.9 and 0 < drawn[1] < 0.15
 
 
 def test_a_badly_aligned_pose_moves_the_track_less() -> None:
