@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from ursnav_torch.localization.confidence import Confidence, Evidence, evidence, fit
 
@@ -13,7 +12,7 @@ PICTURE = SimpleNamespace(contrast=-1.5, grain=0.2)
 
 
 def said(distance: list[float], calyx: list[int]) -> Evidence:
-    return evidence(torch.tensor(distance), torch.tensor(calyx), PICTURE)  # type: ignore[arg-type]
+    return evidence(np.array(distance), np.array(calyx), PICTURE)  # type: ignore[arg-type]
 
 
 def test_near_best_views_vote_and_a_distance_of_0_012_more_counts_an_e_th() -> None:

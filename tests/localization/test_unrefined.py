@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.geometry import rotation_angle, transform_from
 from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.search import SearchSettings
 from ursnav_torch.vid import Vid
 
 VIEWS = (3, 14, 27, 41, 62)
@@ -48,10 +49,10 @@ def test_the_answers_pose_is_the_mean_of_the_near_best_views(nearest: Localizer,
 
 def test_each_distance_is_a_weighted_mean_of_relief_directions_and_shape(vid: Vid, picture: np.ndarray) -> None:
     """Distances with all three are those without shape, and those of shape alone, as the weights have it."""
-    plain = LocalizationSettings(refine=False, candidates=16, keep=16, tilted=len(vid))
+    unrefined, plain = LocalizationSettings(refine=False, keep=16), SearchSettings(finalists=16)
 
     def distances(**weights: float) -> dict[int, float]:
-        found = Localizer(vid, settings=replace(plain, **weights)).locate(picture)
+        found = Localizer(vid, settings=unrefined, search=replace(plain, **weights)).locate(picture)
         return {c.view: c.distance for c in found.candidates}
 
     maps = distances(shape_weight=0.0)

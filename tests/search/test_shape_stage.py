@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import EdgePoints, Features
 from ursnav_torch.geometry import transform_from
-from ursnav_torch.localization import default_matching
-from ursnav_torch.matching import Matching, Nearest, PairCost, ShapeContext, Sinkhorn
+from ursnav_torch.matching import Hungarian, Matching, Nearest, PairCost, ShapeContext, Sinkhorn
 from ursnav_torch.matching.methods import Method
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.search.settings import default_matching
 from ursnav_torch.search.shape import ShapeStage, turn_edges
 from ursnav_torch.vid import Vid
 
@@ -50,13 +50,17 @@ def picture_features(vid: Vid, picture: np.ndarray) -> Features:
 
 
 @pytest.mark.parametrize(
-    "method", [Nearest(), Nearest(keep=0.7), Sinkhorn(tolerance=float("inf"))], ids=["nearest", "trimmed", "sinkhorn"]
-)
+    "method",
+    [Nearest(), Nearest(keep=0.7), Nearest(sides="sum"), Nearest(sides="view_to_query"),
+     Sinkhorn(tolerance=float("inf")), Hungarian(exact=None)],
+    ids=["nearest", "trimmed", "both sides", "view to query", "sinkhorn", "hungarian"],
+)  # fmt: skip
 def test_unturned_the_distances_are_those_to_every_view(vid: Vid, picture_features: Features, method: Method) -> None:
     matching = Matching(ShapeContext(scale=1.0, r_inner=5.0, r_outer=40.0), PairCost(position_weight=1.0), method)
     stage, views = ShapeStage(vid.features, vid.camera, matching), torch.tensor([3, 0, 40])
-    every = stage.everywhere(picture_features.edges)
-    some = stage.turned(picture_features.edges, views, np.tile(np.eye(3), (3, 1, 1)))
+    every, roll = stage.everywhere(picture_features.edges)
+    some = stage.finalists(picture_features.edges, views, np.tile(np.eye(3), (3, 1, 1))).distance
+    assert (roll == 0).all()
     torch.testing.assert_close(some, every[views], atol=2e-3, rtol=0)
     assert some[0] == some.min() and (every >= 0).all() and every.max() < 1.0
 
@@ -68,12 +72,12 @@ def test_a_rolled_picture_turned_back_is_near_its_view_and_turned_the_wrong_way_
     seen = vid.extractor().extract(renderer.render(T).image).edges
     stage = ShapeStage(vid.features, vid.camera, default_matching())
     R = Rotation.from_rotvec([[0, 0, 0.7], [0, 0, 0], [0, 0, -0.7]]).as_matrix()
-    right, none, wrong = stage.turned(seen, torch.tensor([3, 3, 3]), R).tolist()
+    right, none, wrong = stage.finalists(seen, torch.tensor([3, 3, 3]), R).distance.tolist()
     assert right < 0.5 * none and right < 0.5 * wrong
 
 
 def test_no_points_are_infinitely_far(vid: Vid) -> None:
     stage = ShapeStage(vid.features, vid.camera, default_matching())
     nothing = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
-    assert stage.turned(nothing, torch.tensor([3]), np.eye(3)[None]).isinf().all()
-    assert stage.everywhere(nothing).isinf().all()
+    assert stage.finalists(nothing, torch.tensor([3]), np.eye(3)[None]).distance.isinf().all()
+    assert stage.everywhere(nothing)[0].isinf().all()
