@@ -65,3 +65,13 @@ def test_gray_in_color_is_gray_and_red_prevails_in_red() -> None:
     torch.testing.assert_close(same, torch.from_numpy(GRAY).float(), rtol=1e-4, atol=1e-3)
     red = np.dstack([GRAY // 16, GRAY // 8, GRAY])
     assert np.corrcoef(signal(red).numpy().ravel(), GRAY.ravel())[0, 1] > 0.999
+
+
+def test_channels_count_by_the_square_of_their_means() -> None:
+    """Their share of shot-noise-limited signal: channels of means 1, 2 and 4 count 1, 4 and 16."""
+    ones = np.ones((30, 30), np.uint8)
+    mixed = np.dstack([10 * ones, 20 * ones, 40 * ones])
+    mixed[::2, :, 0], mixed[1::2, :, 0] = 0, 20  # one channel varies
+    spread = signal(mixed)
+    torch.testing.assert_close(spread[0, 0] - spread[1, 0], torch.tensor(-20 / 21), rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(spread.mean(), torch.tensor((10 + 80 + 640) / 21), rtol=1e-3, atol=1e-3)

@@ -38,6 +38,22 @@ def test_agrees_with_pot(epsilon: float) -> None:
         assert found.cost[v].item() == pytest.approx((plan * cost).sum(), abs=1e-7)
 
 
+@pytest.mark.parametrize("domain", ["plain", "log"])
+def test_weights_count_in_distances_as_they_do_in_the_plan(domain: str) -> None:
+    """A point of no weight costs nothing; weights' sum does not matter."""
+    settings = Sinkhorn(iterations=2000, tolerance=1e-5, domain=domain)  # type: ignore[arg-type]
+    cost = COST.clone()
+    cost[4] = torch.where(MASK, 0.9, 1000.0)  # a query's point that is like none
+    even, without = torch.full((9,), 1 / 9), torch.ones(9)
+    without[4] = 0.0
+    shares = MASK / MASK.sum(1, keepdim=True)
+    rest = [i for i in range(9) if i != 4]
+    left_out = settings.reduce(cost[rest], shares, torch.full((8,), 1 / 8))
+    torch.testing.assert_close(settings.reduce(cost, shares, without), left_out, atol=1e-3, rtol=0)
+    torch.testing.assert_close(settings.assign(cost, shares, without).distance, left_out, atol=1e-3, rtol=0)
+    assert (settings.reduce(cost, shares, even) > left_out + 0.03).all()
+
+
 def test_both_domains_agree_and_log_stands_a_tiny_epsilon() -> None:
     plain = Sinkhorn(iterations=500, tolerance=1e-3).transport(COST, MASK.float(), WEIGHTS)
     log = Sinkhorn(iterations=500, tolerance=1e-3, domain="log").transport(COST, MASK.float(), WEIGHTS)

@@ -13,6 +13,7 @@ import pytest
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.columns import MATCH_COLUMNS
 from ursnav_torch.errors import InputError
+from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.runs.pictures import find_images
 from ursnav_torch.vid import Vid
 
@@ -249,11 +250,25 @@ def test_pictures_of_another_lens_are_refused(run: Any, vid: Vid, images: Path) 
 
 
 @pytest.mark.parametrize(
-    "choice", ["matching=nearest", "matching=sinkhorn", "matching=hungarian", "localization=edges"]
-)
-def test_every_way_of_matching_knows_a_view_again(run: Any, vid: Vid, images: Path, choice: str) -> None:
+    ("choice", "method"),
+    [("matching=nearest", Nearest), ("matching=sinkhorn", Sinkhorn), ("matching=hungarian", Hungarian),
+     ("localization=edges", Nearest)],
+)  # fmt: skip
+def test_every_way_of_matching_does_its_work_and_knows_a_view_again(
+    run: Any, vid: Vid, images: Path, choice: str, method: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved: dict[str, int] = {}
+    for each in (Nearest, Sinkhorn, Hungarian):
+
+        def counted(self: Any, *given: Any, assign: Any = each.assign, name: str = each.__name__) -> Any:
+            solved[name] = solved.get(name, 0) + 1
+            return assign(self, *given)
+
+        monkeypatch.setattr(each, "assign", counted)
     assert run("match", f"vid={vid.folder}", f"images={images}", "out=x.csv", choice).code == 0
-    assert read(Path("x.csv"))[0]["view"] == "3"
+    rows = read(Path("x.csv"))
+    assert rows[0]["view"] == "3"
+    assert solved == {method.__name__: sum(bool(row["view"]) for row in rows)}  # one batch of finalists a picture
 
 
 def test_natural_order_and_other_files(tmp_path: Path) -> None:

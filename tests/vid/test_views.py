@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 import torch
 
+from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import read_image
-from ursnav_torch.geometry import apply, check_rigid, inverse
+from ursnav_torch.features import EdgePoints, read_image
+from ursnav_torch.geometry import apply, check_rigid, inverse, look_along
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering import RaycastRenderer, View
 from ursnav_torch.tables import Row
 from ursnav_torch.vid import PlanSettings, Vid, build, build_vid, load_vid, plan_views
+from ursnav_torch.vid.draw import wall_points
 from ursnav_torch.vid.store import poses_from_rows
 
 VIEWS = (0, 20, 41, 77)
@@ -124,3 +126,20 @@ def test_poses_name_the_line_that_is_wrong() -> None:
         poses_from_rows([row(2), row(3, qy="")])
     with pytest.raises(InputError, match="quaternion is zero"):
         poses_from_rows([row(2, qw="0")])
+
+
+def test_an_occluding_edge_lies_on_the_nearer_wall() -> None:
+    """An edge between a near wall and a far one is the near one's, though its pixel may already show the far one."""
+    lens = equidistant_camera(160.0, 96, 96)
+    depth = np.full((96, 96), 20.0, np.float32)
+    depth[:, :48] = 5.0
+    view = View(np.zeros((96, 96), np.uint8), depth, np.zeros((96, 96, 3), np.float32))
+    points = torch.tensor([[48.0, 40.0], [47.0, 40.0], [49.0, 40.0], [60.0, 60.0]])
+    edges = EdgePoints(points, torch.zeros(4), torch.ones(4))
+    T = look_along(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]))
+    wall = wall_points(edges, view, lens, T)
+    np.testing.assert_allclose(np.linalg.norm(wall - T[:3, 3], axis=1), [5.0, 5.0, 20.0, 20.0], rtol=1e-5)
+    rays = lens.rays(points.numpy().astype(float))[0]
+    np.testing.assert_allclose(wall[0], T[:3, 3] + 5.0 * T[:3, :3] @ rays[0], atol=1e-4)
+    nothing = View(view.image, np.full((96, 96), np.inf, np.float32), view.normals)
+    assert np.isnan(wall_points(edges, nothing, lens, T)).all()
