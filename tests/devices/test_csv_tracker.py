@@ -1,8 +1,7 @@
 """EM samples from a file."""
 
-import time
-
 import pytest
+from clocks import Clock, runs_on
 
 from ursnav_torch.devices import CsvTracker, SourceAtEndError
 from ursnav_torch.errors import InputError
@@ -27,12 +26,13 @@ def test_samples_come_in_order_with_unit_axes_and_gaps(path):
     assert last.position_mm == (4, 5, 6)
 
 
-def test_samples_come_at_their_own_pace(path):
+def test_samples_come_at_their_own_pace(path, monkeypatch):
+    clock = Clock()
+    runs_on(clock, "ursnav_torch.devices.trackers.csv_file", monkeypatch)
     with CsvTracker(path, speed=2) as tracker:
-        begun = time.monotonic()
         for _ in range(3):
             tracker.read()
-    assert 0.08 < time.monotonic() - begun < 0.2
+    assert sum(clock.slept) == pytest.approx(0.1)  # 0.2 s of samples at twice their speed
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from clocks import does_not_hang
 from dialogue import wait_until
 from fastcrc import crc64
 from scipy.spatial.transform import Rotation
@@ -148,10 +149,8 @@ def test_a_5_dof_tool_has_no_roll_and_one_that_is_left_out_is_not_visible():
 )
 def test_faults_raise_the_right_error_within_the_deadline(stream, error, text):
     with server(stream) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
-        begun = time.monotonic()
-        with pytest.raises(error, match=text):
+        with does_not_hang(), pytest.raises(error, match=text):
             tracker.read(timeout_s=0.3)
-        assert time.monotonic() - begun < 0.6
 
 
 def test_a_message_cut_by_a_deadline_is_read_to_its_end_by_the_next_call():
@@ -168,10 +167,8 @@ def test_a_message_cut_by_a_deadline_is_read_to_its_end_by_the_next_call():
 
 def test_a_server_that_goes_away_is_noticed_at_once():
     with server(hold_s=0.05) as (port, _), OpenIgtlTracker("Scope", port=port) as tracker:
-        begun = time.monotonic()
-        with pytest.raises(DeviceNotConnectedError, match="closed the connection"):
-            tracker.read(timeout_s=2.0)
-        assert time.monotonic() - begun < 0.5
+        with does_not_hang(), pytest.raises(DeviceNotConnectedError, match="closed the connection"):
+            tracker.read(timeout_s=1e4)
 
 
 def test_refusals():
@@ -215,9 +212,8 @@ def test_clients_that_leave_or_do_not_read_hold_nobody_up():
         assert wait_until(lambda: sender.send_pose(T) == 0, 1.0)
         with socket.create_connection(("127.0.0.1", sender.port)):
             assert wait_until(lambda: sender.send_pose(T) == 1, 1.0)
-            begun = time.monotonic()
-            assert any(sender.send_pose(T) == 0 for _ in range(200_000))  # its buffers are full: dropped
-            assert time.monotonic() - begun < 20
+            with does_not_hang(60.0):
+                assert any(sender.send_pose(T) == 0 for _ in range(200_000))  # its buffers are full: dropped
 
 
 def test_a_tool_that_is_not_seen_for_a_moment_costs_one_sample():

@@ -5,10 +5,11 @@ import time
 
 import numpy as np
 import pytest
+from clocks import does_not_hang
 from dialogue import dialogue, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
-from test_grbl import motion_after_sigkill
+from motion import motion_after_sigkill
 
 from ursnav_torch.devices import JointRates, RosserialLight, RosserialRobot
 from ursnav_torch.devices.robots.rosserial import BEND, BEND_POSITION, LIGHT, SLIDER, SLIDER_POSITION
@@ -151,12 +152,10 @@ def test_a_fault_in_mid_drive_stops_the_motors_within_the_deadline(answer, error
         robot.command(FORWARD, True)
         halts = 2 if error is DeviceTimeoutError else 1  # silence lasts until the watchdog stops the robot, too
         board.steps += [(HALT, b"")] * halts + [(HALT + STOP_SENDING, b"")]
-        begun = time.monotonic()
-        with pytest.raises(error, match=message):
-            while time.monotonic() - begun < 2.0:
+        with does_not_hang(), pytest.raises(error, match=message):
+            while True:
                 robot.read()
                 time.sleep(0.01)
-        assert time.monotonic() - begun < 1.2
         assert robot.gate.state == "stopped"
         assert wait_until(lambda: HALT in board.all_received, 0.3)
         robot.disconnect()
@@ -178,10 +177,8 @@ def test_a_topic_of_another_type_is_refused():
 
 def test_a_board_that_never_answers_fails_within_the_deadline(board):
     board.answering = False
-    begun = time.monotonic()
-    with pytest.raises(DeviceTimeoutError, match="right sketch"):
+    with does_not_hang(), pytest.raises(DeviceTimeoutError, match="right sketch"):
         RosserialRobot([board.port.path], deadline_s=0.5).connect()
-    assert time.monotonic() - begun < 0.8
 
 
 def test_unplugging_is_told_apart_from_silence(board, robot):
@@ -248,6 +245,6 @@ def test_the_light_of_an_arduino_of_its_own(board):
 
 
 def test_sigkill_while_driving_ends_the_motion_within_half_a_second(board):
-    seconds = motion_after_sigkill("RosserialRobot", repr([board.port.path]), lambda: board.moving)
+    seconds = motion_after_sigkill("RosserialRobot", repr([board.port.path]), board)
     print(f"motion after SIGKILL: {seconds:.3f} s")
     assert seconds < 0.5
