@@ -14,6 +14,7 @@ is built once for all rooms above `vid`.
 
 import importlib
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -34,8 +35,9 @@ ROOT = Path(__file__).parents[1]
 PLAN = Path(__file__).with_suffix(".toml")
 #: Share of the faults that must be noticed.
 NEEDED = 0.95
-#: Tests that take longer than this with a fault planted have noticed it: it made a loop that does not end.
-LONGEST_S = 240.0
+#: Tests that compute or wait longer than this with a fault planted have noticed it: it made a loop that does not end.
+#: Computing is counted by the processor's time, so that a busy machine makes no difference.
+LONGEST_COMPUTING_S, LONGEST_S = 180, 1800.0
 _COPIED = ("ursnav_torch", "configs", "tests", "benchmarks", "docs", "README.md", "CONTRIBUTING.md", "pyproject.toml")
 _PRELOADED = ("torch", "kornia", "cv2", "scipy.spatial.transform", "scipy.optimize", "scipy.ndimage", "trimesh",
               "networkx", "embreex", "skimage.measure", "hydra", "hypothesis", "pytest", "safetensors", "rich",
@@ -43,7 +45,7 @@ _PRELOADED = ("torch", "kornia", "cv2", "scipy.spatial.transform", "scipy.optimi
 #: Rooms whose faults change what the small VID of the tests holds, so that it has to be built anew.
 _BUILD_ANEW = ("camera", "features", "files", "geometry", "kidney", "matching", "rendering", "vid")
 _PRELOADED_ANYWAY = "ignore::pytest.PytestAssertRewriteWarning"
-_PASSED, _FAILED, _TIMEOUT, _BROKEN = 0, 1, -1, 99
+_PASSED, _FAILED, _BROKEN = 0, 1, 99
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def plant(mutant: Mutant, root: Path) -> None:
     os.utime(file, (time.time() + 1e6,) * 2)
 
 
-def run_tests(root: Path, tests: Sequence[str], log: Path, vid: str = "") -> int:
+def run_tests(root: Path, tests: Sequence[str], log: Path, vid: str = "", limited: bool = True) -> int:
     """Run tests in a fork of this process against a copy of the checkout, until the first fails.
 
     Args:
@@ -112,13 +114,16 @@ def run_tests(root: Path, tests: Sequence[str], log: Path, vid: str = "") -> int
         tests: what pytest is given.
         log: takes what pytest says.
         vid: folder in which the small VID of the tests is kept from run to run; blank to build it anew.
+        limited: whether to end them after `LONGEST_COMPUTING_S` or `LONGEST_S`.
 
     Returns:
-        Pytest's exit code, or -1 after `LONGEST_S`.
+        Pytest's exit code, or that of the signal that ended it, which is below 0.
     """
     child = os.fork()
     if child == 0:
         os.setsid()
+        if limited:
+            resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_COMPUTING_S, LONGEST_COMPUTING_S + 5))
         code = _BROKEN
         try:  # whatever happens, the fork must not go on with its parent's work
             code = _pytest(root, tests, log, vid)
@@ -127,14 +132,13 @@ def run_tests(root: Path, tests: Sequence[str], log: Path, vid: str = "") -> int
         finally:
             os._exit(code)
     end = time.monotonic() + LONGEST_S
-    while time.monotonic() < end:
+    while not limited or time.monotonic() < end:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
             return os.waitstatus_to_exitcode(status)
         time.sleep(0.02)
     os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return _TIMEOUT
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def _pytest(root: Path, tests: Sequence[str], log: Path, vid: str) -> int:
@@ -191,7 +195,7 @@ def _try_all(mutants: Sequence[Mutant], scratch: Path, report: Report, keep: boo
         else:
             shutil.copy2(ROOT / name, root / name)
     begun = time.monotonic()
-    if run_tests(root, sorted({test for m in mutants for test in m.tests}), log, vid) != _PASSED:
+    if run_tests(root, sorted({test for m in mutants for test in m.tests}), log, vid, limited=False) != _PASSED:
         raise InputError(f"The tests do not pass without any fault:\n{log.read_text()[-4000:]}")
     print(f"without any fault: passed in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
     killed = dict.fromkeys((m.name for m in mutants), False)
@@ -201,7 +205,7 @@ def _try_all(mutants: Sequence[Mutant], scratch: Path, report: Report, keep: boo
         plant(m, root)
         code = run_tests(root, m.tests, log, "" if m.room in _BUILD_ANEW else vid)
         shutil.copy2(scratch / "original", original)
-        if code not in (_PASSED, _FAILED, _TIMEOUT):
+        if code > _FAILED:
             raise InputError(f"{m.name}: the tests did not run (code {code}):\n{log.read_text()[-4000:]}")
         killed[m.name], spent = code != _PASSED, time.monotonic() - begun
         word = "killed" if killed[m.name] else f"SURVIVED {m.why}".strip()
