@@ -1,22 +1,28 @@
 # make demo: set all up and run the demo.   make test: set all up and run every test.
-# Both make a virtual environment in .venv; PYTHON=python3.12 chooses another interpreter.
+# make docs: set all up and build the documentation.
+# All make a virtual environment in .venv; PYTHON=python3.12 chooses another interpreter.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Every extra, so that no test is skipped for want of one.
-EXTRAS := ct,viewer,dask,ndi,gamepad,ros
+EXTRAS := ct,viewer,dask,ndi,gamepad,ros,docs
 GL_PACKAGES := libegl1 libgl1-mesa-dri
 DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl
 
-.PHONY: demo test check setup setup-dev system system-dev clean
+.PHONY: demo test docs check setup setup-dev system system-dev clean
 
 demo: setup
 	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
 
 test: check
 	$(BIN)/python -m pytest
+
+# A site in ursnav_site/; every warning is an error.
+docs: setup-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir ursnav_site
+	@echo "open ursnav_site/index.html"
 
 check: setup-dev
 	$(BIN)/ruff check .
@@ -61,4 +67,4 @@ $(VENV)/.installed-dev: Makefile pyproject.toml constraints.txt | $(VENV)/bin/py
 	touch $@ $(VENV)/.installed
 
 clean:
-	rm -rf $(VENV) ursnav_demo
+	rm -rf $(VENV) ursnav_demo ursnav_site

@@ -37,7 +37,7 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 PATIENCE_S, SETTLE_S, FOREVER_S = 60.0, 5.0, 1e9
 #: At every frame drawn: when, which state, and what the status line says; frames apart are counted.
 WATCH = """() => {
-  window.seen = []; window.frames = 0;
+  window.seen = []; window.frames = 0; window.first = +document.getElementById("picture").dataset.shown;
   const look = () => {
     const text = document.querySelector(".ursnav-latency"), line = document.querySelector(".ursnav-status");
     const state = text ? +text.dataset.state : -1, last = window.seen.at(-1);
@@ -60,6 +60,7 @@ class Beside:
         latency_ms: picture to pose.
         seen: in the browser: wall clock's time, version, status line; once for every state shown.
         drawn: frames that the browser drew.
+        pictures: of the scope that it showed.
     """
 
     seconds: float
@@ -68,6 +69,7 @@ class Beside:
     latency_ms: list[float]
     seen: list[tuple[float, int, str]] = field(default_factory=list)
     drawn: int = 0
+    pictures: int = 0
 
 
 def main(arguments: list[str]) -> None:
@@ -94,6 +96,7 @@ def _measure(report: Report, navigator: Navigator, settings: dict[str, Any]) -> 
             tab.evaluate(WATCH)
             both = _watch(navigator, seconds, lambda s: tab.wait_for_timeout(1e3 * s))
             both.seen, both.drawn = [tuple(row) for row in tab.evaluate("window.seen")], tab.evaluate("window.frames")
+            both.pictures = tab.evaluate("+document.getElementById('picture').dataset.shown - window.first")
             if settings["screenshot"]:
                 tab.screenshot(path=settings["screenshot"])
     finally:
@@ -154,6 +157,7 @@ def _add_browser(report: Report, group: str, found: Beside) -> None:
     if slow:
         said = 100.0 * float(np.mean(slow))
         report.add(group, "eased states of which the browser's status line said so", "%", [said], n=len(slow))
+    report.add(group, "scope's pictures shown", "1/s", [found.pictures / found.seconds], n=found.pictures)
     report.add(group, "frames drawn by the browser", "1/s", [found.drawn / found.seconds], n=found.drawn)
 
 
@@ -194,7 +198,7 @@ def _tab(url: str) -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=program, args=FLAGS)
         tab = browser.new_page(viewport={"width": 1300, "height": 900})
         tab.goto(url)
-        tab.wait_for_selector(".ursnav-coverage", timeout=1e3 * PATIENCE_S)
+        tab.wait_for_selector("#strip button", timeout=1e3 * PATIENCE_S)
         yield tab
         browser.close()
 

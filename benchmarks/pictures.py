@@ -68,12 +68,10 @@ def _photograph(page: LivePage, settings: dict[str, Any], shots: list[Image.Imag
     try:
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-            tab = browser.new_page(viewport={"width": 1180, "height": 740})
+            tab = browser.new_page(viewport={"width": 1280, "height": 720})
             tab.goto(page.url)
-            tab.wait_for_selector(".ursnav-status")
+            tab.wait_for_selector("#strip button")
             time.sleep(3.0)
-            for close in tab.locator(".mantine-Notification-closeButton").all():
-                close.click()
             for _ in range(settings["shots"]):
                 located = navigator.located + settings["pictures_a_shot"]
                 for _ in range(settings["pictures_a_shot"]):

@@ -4,31 +4,27 @@ import http.client
 
 import pytest
 
-from ursnav_torch.errors import UrsnavError
-from ursnav_torch.page import start_server
-from ursnav_torch.page.bounds import Bounds
-from ursnav_torch.page.guard import guarded_server, why_refused
-from ursnav_torch.page.server import stop_server
+from ursnav_torch.page import PageServer
+from ursnav_torch.page.guard import why_refused
 
-viser = pytest.importorskip("viser")
+pytest.importorskip("uvicorn")
 
 
 @pytest.fixture(scope="module")
 def port():
-    server = start_server("127.0.0.1", 0, "guarded")
-    yield server.get_port()
-    stop_server(server)
+    server = PageServer("live.html", {}, {}, ("127.0.0.1", 0))
+    yield server.port
+    server.stop()
 
 
 def status(port, host, origin=None, upgrade=False):
     """What the server answers a request with these headers, and the first line of its text."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.putrequest("GET", "/", skip_host=True)
+    connection.putrequest("GET", "/live" if upgrade else "/", skip_host=True)
     headers = {"Host": host, "Origin": origin}
     if upgrade:
         headers |= {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
-                    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-                    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}  # fmt: skip
+                    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}  # fmt: skip
     for name, value in headers.items():
         if value is not None:
             connection.putheader(name, value.replace("PORT", str(port)))
@@ -47,21 +43,23 @@ def test_own_pages_are_let_in(port, host):
 
 def test_programs_without_an_origin_are_let_in_only_where_that_is_asked_for(port):
     assert status(port, "127.0.0.1:PORT", None, upgrade=True) == 403
-    server = start_server("127.0.0.1", 0, "open", programs=True)
+    server = PageServer("live.html", {}, {}, ("127.0.0.1", 0), programs=True)
     try:
-        assert status(server.get_port(), "127.0.0.1:PORT", None, upgrade=True) == 101
-        assert status(server.get_port(), "127.0.0.1:PORT", "http://evil.example", upgrade=True) == 403
+        assert status(server.port, "127.0.0.1:PORT", None, upgrade=True) == 101
+        assert status(server.port, "127.0.0.1:PORT", "http://evil.example", upgrade=True) == 403
     finally:
-        stop_server(server)
+        server.stop()
 
 
-@pytest.mark.parametrize("path", ["/", "/nowhere", "/../x"])
+@pytest.mark.parametrize("path", ["/", "/nowhere", "/../x", "/static/live.js", "/static/nowhere"])
 def test_every_answer_says_that_no_other_page_may_show_it(port, path):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("GET", path)
     headers = connection.getresponse().headers
     connection.close()
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"] and headers["X-Frame-Options"] == "DENY"
+    policy = headers["Content-Security-Policy"]
+    assert "unsafe" not in policy and "default-src 'none'" in policy and len(headers.get_all("X-Frame-Options")) == 1
     assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
 
 
@@ -84,7 +82,7 @@ def test_every_answer_says_that_no_other_page_may_show_it(port, path):
     ],
 )
 def test_foreign_origins_and_hosts_are_refused(port, host, origin, upgrade):
-    assert status(port, host, origin, upgrade) == 403
+    assert status(port, host, origin, upgrade) in ((403,) if host else (400, 403))
 
 
 def test_a_header_given_twice_is_refused():
@@ -92,30 +90,3 @@ def test_a_header_given_twice_is_refused():
     assert why_refused([own], [f"http://{own}"], 8080) == ""
     assert why_refused([own, own], [], 8080) and why_refused([own], [f"http://{own}", "http://evil.example"], 8080)
     assert why_refused(["localhost"], ["http://localhost"], 80) == ""
-
-
-def test_a_server_that_cannot_be_guarded_is_not_used():
-    from websockets.asyncio import server as library
-
-    serve = library.serve
-    with pytest.raises(UrsnavError, match="cannot be guarded"), guarded_server():
-        pass
-    assert library.serve is serve
-
-
-def test_a_server_that_came_up_without_a_guard_is_stopped_again(monkeypatch):
-    import contextlib
-
-    from ursnav_torch.page import server
-
-    @contextlib.contextmanager
-    def unasked(programs):
-        yield Bounds()
-        raise UrsnavError("cannot be guarded")
-
-    monkeypatch.setattr(server, "guarded_server", unasked)
-    port = server.free_port()
-    with pytest.raises(UrsnavError, match="cannot be guarded"):
-        start_server("127.0.0.1", port, "unguarded")
-    with pytest.raises(ConnectionError):
-        status(port, "127.0.0.1:PORT")

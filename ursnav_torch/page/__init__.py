@@ -5,16 +5,14 @@ without it everything works the same.
 from ursnav_torch.page.explore import ExplorePage, explore_vid
 from ursnav_torch.page.live import LivePage, web_page
 from ursnav_torch.page.pictures import Pictures
-from ursnav_torch.page.scene import KidneyScene
-from ursnav_torch.page.server import check_address, start_server
+from ursnav_torch.page.server import PageServer, check_address
 
 __all__ = [
     "ExplorePage",
-    "KidneyScene",
     "LivePage",
+    "PageServer",
     "Pictures",
     "check_address",
     "explore_vid",
-    "start_server",
     "web_page",
 ]

@@ -2,6 +2,7 @@
 
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,16 @@ from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization import LookAlikes
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
-from ursnav_torch.page.pictures import Pictures
-from ursnav_torch.page.scene import KidneyScene
-from ursnav_torch.page.server import on_choice, on_press, start_server, stop_server
-from ursnav_torch.page.words import kept_words, look_alikes_html, picture_html, status_html
+from ursnav_torch.page.commands import Command
+from ursnav_torch.page.pictures import Pictures, jpeg
+from ursnav_torch.page.scene import kidney_bytes
+from ursnav_torch.page.server import PageServer
 from ursnav_torch.rendering import RaycastRenderer, RayScene
 from ursnav_torch.vid import PlanSettings, Vid
 
 Array = NDArray[np.float64]
 
-KEYS = dict(zip(FLIGHT, "IKJLUMYO", strict=True))
-STEP_MM, TURN_RAD, HOLD_HZ = 0.5, np.radians(4.0), 10.0
+STEP_MM, TURN_RAD = 0.5, np.radians(4.0)
 
 
 class ExplorePage:
@@ -36,7 +36,7 @@ class ExplorePage:
         host, port: where to listen; this computer only.
 
     Raises:
-        InputError, MissingExtraError: see `start_server`.
+        InputError, MissingExtraError: see `PageServer`.
     """
 
     def __init__(
@@ -48,11 +48,15 @@ class ExplorePage:
         start = vid.kidney.pelvis_mm
         self.T_kidney_camera = look_along(start, vid.kidney.tips_mm.mean(axis=0) - start)
         self._lock, self.ended = threading.RLock(), threading.Event()
-        self.server = start_server(host, port, "ursnav explore")
-        self.url = f"http://127.0.0.1:{self.server.get_port()}"
         self._pictures = Pictures(vid)
-        self._scene = KidneyScene(self.server, vid.kidney, self.go_to)
-        self._add_panels()
+        resources: dict[str, tuple[str, Callable[[], bytes]]] = {
+            "/kidney.bin": ("application/octet-stream", lambda: kidney_bytes(vid.kidney))
+        }
+        for i in range(len(vid.kidney.calyces)):
+            resources[f"/calyx/{i}.jpg"] = ("image/jpeg", lambda i=i: jpeg(self._pictures.thumbnail(i)))  # type: ignore[misc]
+        self.server = PageServer("explore.html", self._commands(), resources, (host, port))
+        self.url = self.server.url
+        self.server.publish("about", moves=list(FLIGHT), saves=out is not None, alike=self._alike())
         self._show()
 
     def fly(self, move: str) -> None:
@@ -71,8 +75,6 @@ class ExplorePage:
                 raise InputError(f"The VID has no view of calyx {calyx}.")
             away = np.linalg.norm(self.vid.T_kidney_camera[own, :3, 3] - self.vid.kidney.tips_mm[index], axis=1)
             self.T_kidney_camera = self.vid.T_kidney_camera[own[np.argsort(away)[len(own) // 2]]].copy()
-            self._chosen.value = calyx
-            self._show_views(index)
             self._show()
 
     def take_view(self) -> None:
@@ -81,22 +83,32 @@ class ExplorePage:
             self.collection.T_kidney_camera.append(self.T_kidney_camera.copy())
             self._show()
 
-    def plan_again(self) -> None:
+    def plan_again(self, views_a_calyx: int) -> None:
         """Replace the views kept by planned ones."""
-        settings = PlanSettings(views_per_calyx=int(self._count.value), passage_views=int(self._count.value))
+        settings = PlanSettings(views_per_calyx=views_a_calyx, passage_views=views_a_calyx)
         with self._lock:
             self.collection.plan(settings, self.lumen)
             self._show()
 
-    def rename(self) -> None:
-        """Give the calyx chosen the name in the field."""
+    def rename(self, names: tuple[str, str]) -> None:
+        """Give a calyx (first name) another name (second)."""
         with self._lock:
-            old, new = str(self._chosen.value), str(self._name.value).strip()
-            self.collection.rename(old, new)
-            self._scene.rename(old, new, self.go_to)
-            self._chosen.options = [c.name for c in self.collection.kidney.calyces]
-            self._chosen.value = new
-            self._show_views(self._chosen.options.index(new))
+            self.collection.rename(*names)
+            self._show()
+
+    def pick(self, ray: tuple[float, ...]) -> None:
+        """Keep the place where a ray, origin and direction in the kidney frame, meets the wall first."""
+        with self._lock:
+            place = pick_wall(self._wall, np.array(ray[:3]), np.array(ray[3:])) if any(ray[3:]) else None
+            if place is not None:
+                self.collection.landmarks_mm.append(place)
+                self._show()
+
+    def unpick(self) -> None:
+        """Take back the last landmark."""
+        with self._lock:
+            if self.collection.landmarks_mm:
+                self.collection.landmarks_mm.pop()
             self._show()
 
     def save(self) -> str:
@@ -106,83 +118,63 @@ class ExplorePage:
         with self._lock:
             said = self.collection.save(self._out, self._renderer, self.lumen, self._overwrite)
             self._overwrite = True  # what was saved from this page may be saved again
-            self._said.content = status_html(said)
+            self.server.publish("said", text=said)
         print(said, file=sys.stderr, flush=True)
         return said
 
     def close(self) -> None:
         """Take the page away."""
-        stop_server(self.server)
+        self.server.stop()
 
-    def _add_panels(self) -> None:
-        gui = self.server.gui
-        panel = gui.add_panel()
-        with panel.add_tab("Fly"):
-            self._status = gui.add_html("")
-            for move, key in KEYS.items():
-                self._add_move(gui, move, key)
-            on_press(gui.add_button("End"))(self.ended.set)
-        panel.dock_left()
-        panel.set_width(250)
-        gui.set_panel_label("Kidney")
-        self._view = gui.add_html("")
-        with gui.add_folder("Calyx"):
-            self._chosen = gui.add_dropdown("calyx", [c.name for c in self.vid.kidney.calyces])
-            on_press(gui.add_button("Go there"))(lambda: self.go_to(str(self._chosen.value)))
-            self._name = gui.add_text("new name", "")
-            on_press(gui.add_button("Rename"))(self.rename)
-            self._views = gui.add_html("")
-        with gui.add_folder("Collect"):
-            on_press(gui.add_button("Take this view", hint="Keeps the pose for a VID."))(self.take_view)
-            self._count = gui.add_number("views a calyx", 40, min=1, max=1000, step=1)
-            on_press(gui.add_button("Plan views again", hint="Replaces the views kept."))(self.plan_again)
-            picking = gui.add_checkbox("Pick landmarks: click the kidney", False)
-            on_choice(picking, lambda wanted: self._scene.on_wall(self._pick if wanted else None))
-            on_press(gui.add_button("Take back the last landmark"))(self._unpick)
-            on_press(gui.add_button("Save", color="green"))(lambda: (self.save(), None)[1])
-            self._said = gui.add_html("")
-        with gui.add_folder("What looks alike", expand_by_default=False):
-            known = (self.vid.calibration or {}).get("look_alikes")
-            names = [c.name for c in self.vid.kidney.calyces]
-            alike = LookAlikes.from_dict(known) if isinstance(known, dict) else None
-            gui.add_html(look_alikes_html(alike, names))
+    def _commands(self) -> dict[str, Command]:
+        """What the page may ask for."""
+        return {
+            "fly": Command(self.fly, str, choices=tuple(FLIGHT)),
+            "go_to": Command(self.go_to, str),
+            "rename": Command(self.rename, tuple[str, str]),
+            "take": Command(self.take_view),
+            "plan": Command(self.plan_again, int, 1, 1000),
+            "pick": Command(self.pick, tuple[float, float, float, float, float, float]),
+            "unpick": Command(self.unpick),
+            "save": Command(self.save),
+            "end": Command(self.ended.set),
+        }
 
-    def _add_move(self, gui: Any, move: str, key: str) -> None:
-        button = gui.add_button(f"{move} ({key})", hint="Hold to go on.")
-        button.on_hold(lambda _event: self.fly(move), callback_hz=HOLD_HZ)
-        on_press(button)(lambda: self.fly(move))
-        gui.add_command(f"Fly {move}", hotkey=key).on_trigger(lambda _event: self.fly(move))
-
-    def _pick(self, origin: Array, direction: Array) -> None:
-        """Somebody clicked the kidney."""
-        with self._lock:
-            place = pick_wall(self._wall, origin, direction)
-            if place is not None:
-                self.collection.landmarks_mm.append(place)
-                self._show()
-
-    def _unpick(self) -> None:
-        with self._lock:
-            if self.collection.landmarks_mm:
-                self.collection.landmarks_mm.pop()
-            self._show()
-
-    def _show_views(self, calyx: int) -> None:
-        name = self.collection.kidney.calyces[calyx].name
-        self._views.content = picture_html(self._pictures.calyx(calyx), f"views of calyx {name}", "views")
+    def _alike(self) -> dict[str, Any]:
+        """What looks alike: shares in percent of the row, by names of rows and columns, and sentences."""
+        known = (self.vid.calibration or {}).get("look_alikes")
+        if not isinstance(known, dict):
+            return {"names": [], "share": [], "sentences": ["Not known: build_vid learns it from simulated pictures."]}
+        alike, names = LookAlikes.from_dict(known), [c.name for c in self.vid.kidney.calyces]
+        share = 100 * alike.counts / np.maximum(alike.counts.sum(axis=1, keepdims=True), 1)
+        return {"names": [*names, "(none)"], "share": share.round().tolist(), "sentences": alike.sentences(names)}
 
     def _show(self) -> None:
         T, kept = self.T_kidney_camera, self.collection
+        names = [c.name for c in kept.kidney.calyces]
         index = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
-        place = f"Calyx {kept.kidney.calyces[index].name}." if index >= 0 else "No calyx observed."
-        collected = f" {kept_words(len(kept.T_kidney_camera), len(kept.landmarks_mm))} kept."
-        self._status.content = status_html(place + collected)
+        place = f"Calyx {names[index]}." if index >= 0 else "No calyx observed."
+        words = f"{place} {kept_words(len(kept.T_kidney_camera), len(kept.landmarks_mm))} kept."
         picture = self._pictures.large(T)
-        self._view.content = picture_html(picture, "virtual view from here", "pair")
-        self._scene.show_camera(T)
-        self._scene.show_picture(picture)
-        self._scene.show_points("views", [pose[:3, 3] for pose in kept.T_kidney_camera], (90, 60, 200))
-        self._scene.show_points("landmarks", kept.landmarks_mm, (250, 150, 0), 2.0)
+        self.server.publish_picture("scope", jpeg(picture), width=picture.shape[1], height=picture.shape[0], edges=[])
+        self.server.publish(
+            "state",
+            status=words,
+            pose=T.round(4).ravel().tolist(),
+            calyces=names,
+            views=[pose[:3, 3].round(2).tolist() for pose in kept.T_kidney_camera],
+            landmarks=[place.round(2).tolist() for place in kept.landmarks_mm],
+        )
+
+
+def kept_words(views: int, landmarks: int) -> str:
+    """How much was collected.
+
+    Example:
+        >>> kept_words(1, 3)
+        '1 view and 3 landmarks'
+    """
+    return f"{views} view{'s' * (views != 1)} and {landmarks} landmark{'s' * (landmarks != 1)}"
 
 
 def explore_vid(vid: Vid, out: Path | None, overwrite: bool, host: str, port: int, seconds: float) -> str:

@@ -5,32 +5,26 @@ rebinding); such a page could stop or drive the robot. It cannot lie about its o
 Nor may it show our page inside itself, where a click meant for something else would meet our buttons.
 """
 
-import contextlib
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from http import HTTPStatus
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-from ursnav_torch.errors import UrsnavError
-from ursnav_torch.page.bounds import Bounds
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_one_at_a_time = threading.Lock()
-
-
-#: Sent with everything: in no frame, nothing from elsewhere, no guessing of kinds, no other page's handle on ours.
+#: Sent with everything: in no frame, nothing from elsewhere, no script or style within the page's own text, no guessing
+#: of kinds, no other page's handle on ours.
 HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
-        "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' data: blob: ws://127.0.0.1:* "
-        "ws://localhost:* ws://[::1]:*; worker-src 'self' blob:; object-src 'none'; base-uri 'none'; "
-        "form-action 'none'; frame-ancestors 'none'"
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self' "
+        "ws://127.0.0.1:* ws://localhost:*; object-src 'none'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
     ),
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
 }
 
 
@@ -57,66 +51,45 @@ def why_refused(
     return ""
 
 
-@contextlib.contextmanager
-def guarded_server(programs: bool = False) -> Iterator[Bounds]:
-    """Within the block one websocket server is started; it refuses, before anything else, what `why_refused` refuses.
-
-    Messages that its `Bounds` do not accept are passed over; yields these, which want to know the server once it runs.
-    viser has no hook for that, so the `serve` that it calls of the websockets library is another one meanwhile.
+class Guard:
+    """An ASGI application around another: refuses, before anything else, what `why_refused` refuses.
 
     Args:
+        app: what is guarded.
         programs: see `why_refused`.
-
-    Raises:
-        UrsnavError: the server that was started is not guarded, because viser starts it in a way of its own.
     """
-    from websockets.asyncio import server as library
 
-    started, bounds = [], Bounds()
-    with _one_at_a_time:
-        serve = library.serve
+    def __init__(self, app: "ASGIApp", programs: bool = False) -> None:
+        self.app, self.programs = app, programs
 
-        def guarded_serve(
-            handler: Callable[..., Any], *args: Any, process_request: Callable[..., Any] | None = None, **options: Any
-        ) -> Any:
-            started.append(True)
-            answer = partial(_answer, process_request, programs)
-            return serve(partial(_within, handler, bounds), *args, process_request=answer, **options)
+    async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
+        """Answer one request or connection."""
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        is_websocket, port = scope["type"] == "websocket", int(scope["server"][1])
+        refused = why_refused(_values(scope, b"host"), _values(scope, b"origin"), port, is_websocket, self.programs)
 
-        library.serve = guarded_serve  # type: ignore[assignment,misc]
-        try:
-            yield bounds
-        finally:
-            library.serve = serve  # type: ignore[misc]
-    if not started:
-        raise UrsnavError("This release of viser starts its server in a way that cannot be guarded; install viser 1.1.")
+        async def send_with_headers(message: "Message") -> None:
+            if message["type"] == "http.response.start":
+                kept = [(name, value) for name, value in message["headers"] if name.decode().title() not in _TITLES]
+                message["headers"] = [*kept, *((n.lower().encode(), v.encode()) for n, v in HEADERS.items())]
+            await send(message)
 
-
-def _answer(answer: Callable[..., Any] | None, programs: bool, connection: Any, request: Any) -> Any:
-    """Refuse, or leave it to the server's own answer."""
-    headers, port = request.headers, connection.local_address[1]
-    is_websocket = headers.get("Upgrade", "").lower() == "websocket"
-    refused = why_refused(headers.get_all("Host"), headers.get_all("Origin"), port, is_websocket, programs)
-    if refused:
-        response = connection.respond(HTTPStatus.FORBIDDEN, refused + "\n")
-    else:
-        response = answer(connection, request) if answer else None
-    if response is not None:
-        for name, value in HEADERS.items():
-            if name in response.headers:
-                del response.headers[name]
-            response.headers[name] = value
-    return response
+        if not refused:
+            await self.app(scope, receive, send_with_headers)
+        elif is_websocket:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": refused})  # before accepting: status 403
+        else:
+            body = (refused + "\n").encode()
+            plain = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+            await send_with_headers({"type": "http.response.start", "status": 403, "headers": plain})
+            await send({"type": "http.response.body", "body": body})
 
 
-async def _within(handler: Callable[..., Any], bounds: Bounds, connection: Any) -> None:
-    """Serve a connection that gives only messages within the bounds."""
-    receive = connection.recv
+_TITLES = {name.title() for name in HEADERS}
 
-    async def receive_accepted(*args: Any, **options: Any) -> Any:
-        while not bounds.accept(raw := await receive(*args, **options)):
-            pass
-        return raw
 
-    connection.recv = receive_accepted
-    await handler(connection)
+def _values(scope: Any, name: bytes) -> list[str]:
+    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]

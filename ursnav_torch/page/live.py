@@ -8,25 +8,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ursnav_torch.navigation import NavigationState, Navigator
-from ursnav_torch.page.controls import ReplayControls, RobotControls, add_end, add_stop
-from ursnav_torch.page.pictures import Pictures
-from ursnav_torch.page.scene import KidneyScene
-from ursnav_torch.page.server import on_press, start_server, stop_server
-from ursnav_torch.page.words import confidence_html, coverage_html, latency_html, picture_html, status_html
-from ursnav_torch.session import SessionControls
+from ursnav_torch.devices import Frame
+from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidence_words
+from ursnav_torch.page.commands import Command
+from ursnav_torch.page.pictures import Pictures, jpeg
+from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
+from ursnav_torch.page.server import PageServer
+from ursnav_torch.session import MOVES, SessionControls
 
 logger = logging.getLogger(__name__)
 
 #: Looks at the state a second.
-UPDATES_HZ = 10.0
-#: Seconds between pictures beside the kidney.
-PICTURE_S = 0.2
-#: Seconds between changes of the scene, of the picture in it, and of wall and ways. The browser draws on for a quarter
-#: of a second after each, which without a graphics card takes a core.
-SCENE_S, FRUSTUM_S, PAINT_S = 0.25, 0.5, 1.0
-#: On a slow machine pictures, and scenes, change so many times less often; the words do not.
-SLOWER, MUCH_SLOWER = 3.0, 6.0
+UPDATES_HZ = 20.0
+#: Seconds between scope's pictures, between drawings of what it should see, and between changes of wall and ways.
+PICTURE_S, VIRTUAL_S, PAINT_S = 0.08, 0.5, 1.0
+#: On a slow machine drawings, wall and ways change so many times less often; words and the scope's pictures do not.
+SLOWER = 4.0
 
 
 class LivePage:
@@ -40,7 +37,7 @@ class LivePage:
 
     Raises:
         InputError: another address than this computer's, or a port that is taken.
-        MissingExtraError: viser is not installed.
+        MissingExtraError: the extra ``viewer`` is not installed.
     """
 
     def __init__(
@@ -52,122 +49,120 @@ class LivePage:
         programs: bool = False,
     ) -> None:
         self.navigator, self.controls, self._vid = navigator, controls, navigator.vid
-        self.server = start_server(host, port, "ursnav", programs)
-        self.url = f"http://127.0.0.1:{self.server.get_port()}"
-        self._pictures = Pictures(self._vid)
-        self._scene = KidneyScene(self.server, self._vid.kidney, self.choose)
-        self._end = threading.Event()
-        self._done_s: dict[str, float] = {}
-        self._version = -1
+        self._pictures, self._scale = Pictures(self._vid), self._vid.kidney.scale
+        kidney = self._vid.kidney
+        resources = {"/kidney.bin": ("application/octet-stream", lambda: kidney_bytes(kidney, navigator.patch_of_face))}
+        for i in range(len(kidney.calyces)):
+            resources[f"/calyx/{i}.jpg"] = ("image/jpeg", lambda i=i: jpeg(self._pictures.thumbnail(i)))  # type: ignore[misc]
+        self.server = PageServer("live.html", self._commands(), resources, (host, port), programs)
+        self.url = self.server.url
+        self._end, self._done_s = threading.Event(), dict[str, float]()
+        self._version, self._painted = -1, -1
+        self._shown: Frame | None = None
         self._located, self._rate = (time.monotonic(), 0), 0.0
-        self._shown: Any = None
-        self._framed: Any = None
-        self._add_left()
-        self._add_right()
-        self._threads = [
-            threading.Thread(target=self._run, args=part, name=f"page{part[0].__name__}", daemon=True)
-            for part in ((self._show_words, UPDATES_HZ), (self._show_pictures, 2 / PICTURE_S))
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self.server.publish("about", **self._about())
+        self._thread.start()
 
     def choose(self, calyx: str) -> None:
-        """A calyx was clicked: route there and show its views; clicked again, navigation proposes the next."""
+        """A calyx was chosen: route there; chosen again, navigation proposes the next."""
         chosen = self.navigator.bus.latest().guidance.chosen
         self.navigator.choose("" if calyx == chosen else calyx)
-        names = [c.name for c in self._vid.kidney.calyces]
-        views = self._pictures.calyx(names.index(calyx))
-        self._views.content = picture_html(views, f"views of calyx {calyx}", "views")
 
     def close(self) -> None:
         """Take the page away."""
         self._end.set()
-        for thread in self._threads:
-            thread.join(timeout=5.0)
-        stop_server(self.server)
+        self._thread.join(timeout=5.0)
+        self.server.stop()
 
-    def _add_left(self) -> None:
-        """The panel with what must always be in reach."""
-        gui = self.server.gui
-        panel = gui.add_panel()
-        self._robot: RobotControls | None = None
-        self._replay: ReplayControls | None = None
-        with panel.add_tab("Session"):
-            console = self.controls.console
-            if console is not None and console.has_robot:
-                add_stop(self.server, console)
-            self._status = gui.add_html(status_html("Starting."))
-            self._confidence = gui.add_html("")
-            if self.controls.player is not None:
-                self._replay = ReplayControls(self.server, self.controls.player)
-            if console is not None and console.has_robot:
-                self._robot = RobotControls(self.server, console)
-            add_end(self.server, self.controls)
-        panel.dock_left()
-        panel.set_width(270)
+    def _about(self) -> dict[str, Any]:
+        """What does not change: which controls there are."""
+        console, player = self.controls.console, self.controls.player
+        has_robot = console is not None and console.has_robot
+        return {
+            "robot": has_robot,
+            "drive": has_robot and console is not None and console.may_drive,
+            "pilot": console is not None and console.has_pilot,
+            "duration_s": player.duration_s if player is not None else None,
+            "calyces": [c.name for c in self._vid.kidney.calyces],
+        }
 
-    def _add_right(self) -> None:
-        """The panel with pictures, calyces and figures."""
-        gui = self.server.gui
-        gui.set_panel_label("Scope and kidney")
-        self._pair = gui.add_html("")
-        self._coverage = gui.add_html("")
-        with gui.add_folder("Go to calyx"):
-            group = gui.add_button_group("", [c.name for c in self._vid.kidney.calyces])
-            on_press(group)(lambda: self.choose(str(group.value)))
-            on_press(gui.add_button("Propose the next one"))(lambda: self.navigator.choose(""))
-            self._views = gui.add_html("")
-        self._latency = gui.add_html("")
+    def _commands(self) -> dict[str, Command]:
+        """What the page may ask for; a robot's commands only where there is one."""
+        names, console, player = (
+            tuple(c.name for c in self._vid.kidney.calyces),
+            self.controls.console,
+            self.controls.player,
+        )
+        found = {
+            "choose": Command(self.choose, str, choices=names),
+            "propose": Command(lambda: self.navigator.choose("")),
+            "end": Command(self.controls.stop),
+        }
+        if console is not None and console.has_robot:
+            found |= {
+                "stop": Command(console.emergency_stop),
+                "acknowledge": Command(console.acknowledge),
+                "arm": Command(console.arm),
+                "pilot": Command(console.give_to_pilot, bool),
+                "drive": Command(console.drive, str, choices=tuple(MOVES)),
+                "release": Command(console.release),
+                "brighten": Command(console.brighten, int, -1, 1),
+            }
+        if player is not None:
+            found |= {
+                "play": Command(lambda: player.pause() if player.playing else player.play()),
+                "step": Command(player.step),
+                "seek": Command(player.seek, float, 0.0, max(player.duration_s, 0.1)),
+            }
+        return found
 
-    def _run(self, show: Callable[[NavigationState], None], hertz: float) -> None:
-        """Bring a part of the page up to date for as long as there is somebody to see it."""
-        while not self._end.wait(1 / hertz):
-            if not self.server.get_clients():
+    def _run(self) -> None:
+        """Bring the page up to date for as long as there is somebody to see it."""
+        while not self._end.wait(1 / UPDATES_HZ):
+            if not self.server.watched:
                 continue
-            try:
-                show(self.navigator.bus.latest())
-            except Exception:  # whatever a picture does to the page, navigation and its controls stay
-                logger.exception("The page could not be brought up to date.")
+            state = self.navigator.bus.latest()
+            for show in (self._show_words, self._show_picture, self._show_ways):
+                self._safely(show, state)
+
+    def _safely(self, show: Callable[[NavigationState], None], state: NavigationState) -> None:
+        try:
+            show(state)
+        except Exception:  # whatever a picture does to the page, navigation and its controls stay
+            logger.exception("The page could not be brought up to date.")
 
     def _show_words(self, state: NavigationState) -> None:
-        """Texts: little to send and to draw."""
-        if self._replay:
-            self._replay.show()
+        """Texts and the camera's place: little to send and to draw."""
+        player, console = self.controls.player, self.controls.console
+        if player is not None:
+            self.server.publish("replay", playing=player.playing, at_s=round(player.position_s, 1))
         if state.version == self._version:
             return
-        self._version, g = state.version, state.guidance
+        self._version = state.version
         self._count(time.monotonic())
-        with self.server.atomic():
-            self._status.content = status_html(state.status)
-            self._confidence.content = confidence_html(state)
-            self._latency.content = latency_html(state, self._rate)
-            self._coverage.content = coverage_html(g.coverage, g.chosen)
-            if self._robot is not None:
-                self._robot.show(state)
+        self.server.publish("state", by_hand=console is not None and console.by_hand, **state_values(state, self._rate))
 
-    def _show_pictures(self, state: NavigationState) -> None:
-        """Pictures and scene: more to make, to send and to draw, so beside the words and less often."""
-        slower, much_slower = (SLOWER, MUCH_SLOWER) if state.effort else (1.0, 1.0)
-        if state.frame is not None and state.frame is not self._shown and self._due("pair", PICTURE_S * slower):
+    def _show_picture(self, state: NavigationState) -> None:
+        """What the scope sees, and less often what it should see there."""
+        if state.frame is not None and state.frame is not self._shown and self._due("picture", PICTURE_S):
             self._shown = state.frame
-            pair = self._pictures.pair(state.frame.image, state.edges, state.T_kidney_camera)
-            self._pair.content = picture_html(pair, "what the scope sees, with its edges; what it should see", "pair")
-        if self._due("scene", SCENE_S * much_slower):
-            with self.server.atomic():
-                self._show_scene(state)
+            height, width = state.frame.image.shape[:2]
+            scope = jpeg(self._pictures.scope(state.frame.image))
+            self.server.publish_picture("scope", scope, width=width, height=height, edges=edge_strokes(state.edges))
+        if self._due("virtual", VIRTUAL_S * (SLOWER if state.effort else 1.0)):
+            self.server.publish_picture("virtual", jpeg(self._pictures.virtual(state.T_kidney_camera)))
 
-    def _show_scene(self, state: NavigationState) -> None:
-        """All changes at once, for which the browser draws once."""
-        scene, g = self._scene, state.guidance
-        scene.show_camera(state.T_kidney_camera)
-        scene.verdicts(g.coverage)
-        if state.frame is not None and state.frame is not self._framed and self._due("frustum", FRUSTUM_S):
-            self._framed = state.frame
-            scene.show_picture(self._pictures.scope(state.frame.image))
-        if self._due("paint", PAINT_S):
-            scene.paint(self.navigator.patch_of_face, g.seen)
-            scene.show_path(state.path_mm)
-            scene.show_route(g.route.points_mm if g.route else None)
+    def _show_ways(self, state: NavigationState) -> None:
+        """The wall that was seen, the path and the way on."""
+        if not self._due("paint", PAINT_S * (SLOWER if state.effort else 1.0)):
+            return
+        route, seen = state.guidance.route, state.guidance.seen
+        ways = path_pieces(state.path_mm, self._scale)
+        self.server.publish("ways", path=ways, route=[] if route is None else route.points_mm.round(2).tolist())
+        if int(seen.sum()) != self._painted:
+            self._painted = int(seen.sum())
+            self.server.publish("seen", patches=seen.nonzero()[0].tolist())
 
     def _due(self, what: str, every_s: float) -> bool:
         """Whether it is time again; if so, the time counts anew."""
@@ -183,6 +178,31 @@ class LivePage:
         if now - since >= 2.0:
             located = self.navigator.located
             self._rate, self._located = (located - before) / (now - since), (now, located)
+
+
+def state_values(state: NavigationState, rate: float) -> dict[str, Any]:
+    """A state as the page shows it, plain: words, verdicts, and the camera's pose (16 numbers, row by row)."""
+    g, t, T = state.guidance, state.latency, state.T_kidney_camera
+    parts = {"waiting": t.waiting_s, "features": t.features_s, "tracking": t.tracking_s, "painting": t.painting_s}
+    stages = ", ".join(f"{name} {1e3 * seconds:.0f}" for name, seconds in parts.items())
+    latency = f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}"
+    share = max(0.0, min(1.0, state.confidence))
+    return {
+        "version": state.version,
+        "status": state.status,
+        "place": "" if T is None else g.place,
+        "calyx": "" if T is None else state.calyx,
+        "confidence": share if T is not None else 0.0,
+        "words": confidence_words(share) if T is not None else "no place known",
+        "coverage": [[c.calyx, c.pole, c.verdict, round(c.share, 3)] for c in g.coverage],
+        "chosen": g.chosen,
+        "next": g.route.calyx if g.route is not None else "",
+        "robot": state.robot,
+        "notice": state.notice,
+        "pose": None if T is None else T.round(4).ravel().tolist(),
+        "latency": latency,
+        "stale": state.stale,
+    }
 
 
 @contextmanager

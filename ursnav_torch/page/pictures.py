@@ -5,17 +5,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import EdgePoints, read_image
+from ursnav_torch.features import read_image
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.reports import draw_edges
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_GREEN = (60, 230, 60)
-#: Side of the virtual picture; and how many of a calyx's views are shown.
-VIRTUAL_PX, VIEWS_SHOWN = 125, 6
+#: Side of the virtual picture and of a calyx's thumbnail.
+VIRTUAL_PX = 125
 
 
 class Pictures:
@@ -32,17 +30,9 @@ class Pictures:
         self._renderer = RaycastRenderer(vid.kidney.mesh, self._lens)
         self._full = RaycastRenderer(vid.kidney.mesh, vid.camera)
 
-    def scope(self, image: Picture, edges: EdgePoints | None = None) -> Picture:
-        """A scope's picture (H, W) or (H, W, 3) blue, green, red, with its edges."""
-        return _rgb(image if edges is None else draw_edges(image, edges, _GREEN))
-
-    def pair(self, image: Picture | None, edges: EdgePoints | None, T_kidney_camera: Array | None) -> Picture:
-        """The scope's picture and what it should see from a pose, side by side; black for None."""
-        virtual = self.virtual(T_kidney_camera)
-        scope = np.zeros_like(virtual) if image is None else self.scope(image, edges)
-        height = self.vid.camera.height
-        sized = [cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height)) for p in (scope, virtual)]
-        return np.asarray(np.concatenate(sized, axis=1), np.uint8)
+    def scope(self, image: Picture) -> Picture:
+        """A scope's picture (H, W) or (H, W, 3) blue, green, red."""
+        return _rgb(image)
 
     def virtual(self, T_kidney_camera: Array | None) -> Picture:
         """What the scope should see from a pose (4, 4); black for None."""
@@ -61,16 +51,19 @@ class Pictures:
         except InputError:
             return self.virtual(self.vid.T_kidney_camera[index])
 
-    def calyx(self, calyx: int) -> Picture:
-        """Some of the VID's views of a calyx, side by side, from far to near."""
+    def thumbnail(self, calyx: int) -> Picture:
+        """One of the VID's views of a calyx, half-way in; gray where it has none."""
         own = np.flatnonzero(self.vid.calyx == calyx)
         if not len(own):
-            return np.full((VIRTUAL_PX, 3 * VIRTUAL_PX, 3), 230, np.uint8)
+            return np.full((VIRTUAL_PX, VIRTUAL_PX, 3), 90, np.uint8)
         away = np.linalg.norm(self.vid.T_kidney_camera[own, :3, 3] - self.vid.kidney.tips_mm[calyx], axis=1)
-        chosen = own[np.argsort(-away)][np.linspace(0, len(own) - 1, VIEWS_SHOWN).astype(int)]
-        small = [cv2.resize(self.view(int(i)), (VIRTUAL_PX, VIRTUAL_PX), interpolation=cv2.INTER_AREA) for i in chosen]
-        half = VIEWS_SHOWN // 2
-        return np.asarray(np.concatenate([np.concatenate(small[:half], 1), np.concatenate(small[half:], 1)]), np.uint8)
+        view = self.view(int(own[np.argsort(away)[len(own) // 2]]))
+        return np.asarray(cv2.resize(view, (VIRTUAL_PX, VIRTUAL_PX), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def jpeg(picture: Picture, quality: int = 85) -> bytes:
+    """A picture (H, W, 3) red, green, blue as a JPEG file's bytes."""
+    return bytes(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
 
 
 def _rgb(image: Picture) -> Picture:

@@ -1,19 +1,28 @@
 """The page's server: only its own pages and this computer's programs reach it, and nothing they send names a file."""
 
 import contextlib
-import io
+import logging
 import socket
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.extras import import_extra
-from ursnav_torch.page.guard import guarded_server
+from ursnav_torch.page.commands import Command, run_message
+from ursnav_torch.page.guard import Guard
+from ursnav_torch.page.mailbox import Mailbox
 
-if TYPE_CHECKING:
-    import viser
+logger = logging.getLogger(__name__)
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
+STATIC = Path(__file__).parent / "static"
+#: The server has so long to come up, and to end.
+PATIENCE_S = 20.0
 
 
 def check_address(host: str, port: int) -> None:
@@ -37,77 +46,127 @@ def check_address(host: str, port: int) -> None:
             raise InputError(f"Port {port} cannot be had ({error}); choose another by viewer.port=.") from None
 
 
-def free_port() -> int:
-    """A port that nobody uses."""
-    with contextlib.closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def start_server(host: str, port: int, title: str, programs: bool = False) -> "viser.ViserServer":
-    """A running server without content.
+class PageServer:
+    """Serves one page with what it fetches, publishes to all who look at it, and takes their commands.
 
     Args:
-        host: 127.0.0.1.
-        port: 0 takes any that is free.
-        title: of the page.
+        page: the HTML file in ``static/``.
+        commands: by name.
+        resources: what the page fetches besides, by path: kind and a function that makes the bytes once.
+        host, port: where to listen; this computer only, port 0 takes any that is free.
         programs: let programs that are no browsers connect, too.
 
     Raises:
         InputError: see `check_address`.
-        MissingExtraError: viser is not installed.
-        UrsnavError: see `guarded_server`.
+        MissingExtraError: the extra ``viewer`` is not installed.
+        UrsnavError: the server did not come up.
     """
-    check_address(host, port)
-    viser = import_extra("viser", "viewer", "The page (viewer=none does without)")
 
-    class LocalServer(viser.ViserServer):  # type: ignore[name-defined]
-        """A server that cannot be shared: viser would relay it through a public host if a page asked."""
+    def __init__(
+        self,
+        page: str,
+        commands: Mapping[str, Command],
+        resources: Mapping[str, tuple[str, Callable[[], bytes]]],
+        address: tuple[str, int] = ("127.0.0.1", 8080),
+        programs: bool = False,
+    ) -> None:
+        check_address(*address)
+        import_extra("starlette", "viewer", "The page (viewer=none does without)")
+        uvicorn = import_extra("uvicorn", "viewer", "The page (viewer=none does without)")
+        self._commands, self._mailbox = dict(commands), Mailbox()
+        app = Guard(_application(page, resources, self._speak), programs)
+        config = uvicorn.Config(
+            app, *address, log_config=None, access_log=False, lifespan="off", ws="websockets-sansio",
+            ws_max_size=65_536, timeout_graceful_shutdown=1, server_header=False,
+        )  # fmt: skip
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, name="page-server", daemon=True)
+        self._thread.start()
+        until = time.monotonic() + PATIENCE_S
+        while not self._server.started:
+            if not self._thread.is_alive() or time.monotonic() > until:
+                raise UrsnavError(f"The page's server did not come up at port {address[1]}; is it in use?")
+            time.sleep(0.005)
+        self.port = int(self._server.servers[0].sockets[0].getsockname()[1])
+        self.url = f"http://127.0.0.1:{self.port}"
 
-        def request_share_url(self, verbose: bool = True) -> str | None:
-            return None
+    @property
+    def watched(self) -> bool:
+        """Whether anybody looks at the page."""
+        return self._mailbox.readers > 0
 
-    quiet = contextlib.redirect_stdout(io.StringIO())  # viser's banner: standard output is for results
-    server = None
-    try:
-        with quiet, guarded_server(programs) as bounds:
-            server = LocalServer(host=host, port=port or free_port(), label=title, verbose=False)
-            bounds.server = server
-    except UrsnavError:
-        if server is not None:
-            stop_server(server)
-        raise
-    server.gui.configure_theme(show_logo=False, show_share_button=False)
-    server.gui.main_panel.dock_right()
-    server.gui.main_panel.set_width(390)
-    return server
+    def publish(self, kind: str, **values: Any) -> None:
+        """Send plain values to all pages; who opens one later gets the last of every kind."""
+        self._mailbox.put(kind, msgspec.json.encode({"kind": kind, **values}).decode())
+
+    def publish_picture(self, kind: str, jpeg: bytes, **values: Any) -> None:
+        """Send a picture: a line of JSON with the values, then the bytes."""
+        self._mailbox.put(kind, msgspec.json.encode({"kind": kind, **values}) + b"\n" + jpeg)
+
+    def stop(self) -> None:
+        """End the server and its pages' connections."""
+        self._mailbox.close()
+        self._server.should_exit = True
+        self._thread.join(PATIENCE_S)
+
+    async def _speak(self, socket: Any) -> None:
+        """Serve one page's connection until it is closed."""
+        import anyio
+        from starlette.websockets import WebSocketDisconnect
+
+        await socket.accept()
+        async with anyio.create_task_group() as both:
+
+            async def send() -> None:
+                async for message in self._mailbox.read():
+                    await (socket.send_text if isinstance(message, str) else socket.send_bytes)(message)
+                await socket.close(1001)
+
+            async def receive() -> None:
+                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                    while True:
+                        await self._take(await socket.receive_text(), socket)
+                both.cancel_scope.cancel()
+
+            both.start_soon(receive)
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                await send()
+            both.cancel_scope.cancel()
+
+    async def _take(self, raw: str, socket: Any) -> None:
+        """Do what a page asks for, beside the loop that serves it; what cannot be done becomes a notice there."""
+        import anyio
+
+        try:
+            await anyio.to_thread.run_sync(run_message, raw, self._commands)
+        except UrsnavError as error:
+            await socket.send_text(msgspec.json.encode({"kind": "notice", "text": str(error)}).decode())
+        except Exception:  # whatever a page asks for, the others go on
+            logger.exception("A page's command failed.")
 
 
-def stop_server(server: "viser.ViserServer") -> None:
-    """End a server and its pages' connections."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
+def _application(
+    page: str, resources: Mapping[str, tuple[str, Callable[[], bytes]]], speak: Callable[[Any], Any]
+) -> Any:
+    """The routes: the page itself, what it fetches, and its connection."""
+    from starlette.applications import Starlette
+    from starlette.responses import FileResponse, Response
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.staticfiles import StaticFiles
 
+    made: dict[str, bytes] = {}
 
-def on_press(handle: Any) -> Callable[[Callable[[], None]], None]:
-    """``on_press(button)(action)``: what a press does; an error of the package becomes a notice on that page."""
+    def resource(request: Any) -> Response:
+        path = request.url.path
+        if path not in made:
+            made[path] = resources[path][1]()
+        return Response(made[path], media_type=resources[path][0])
 
-    def decorate(action: Callable[[], None]) -> None:
-        @handle.on_click
-        def _(event: Any) -> None:
-            try:
-                action()
-            except UrsnavError as error:
-                if event.client is not None:
-                    event.client.add_notification("Not done", str(error), color="red")
-
-    return decorate
-
-
-def on_choice(handle: Any, action: Callable[[Any], None]) -> None:
-    """Call ``action`` with the value that somebody chose on a page, and not with those that the program sets."""
-
-    @handle.on_update
-    def _(event: Any) -> None:
-        if event.client is not None:
-            action(handle.value)
+    return Starlette(
+        routes=[
+            Route("/", lambda _request: FileResponse(STATIC / page)),
+            *(Route(path, resource) for path in resources),
+            WebSocketRoute("/live", speak),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ]
+    )

@@ -1,0 +1,76 @@
+// The page of a live session or a record: shows what the program sends, passes on what is pressed.
+import { $, connect, hold, keys, put, scopeView } from "./link.js";
+import { kidneyView, turningKeys } from "./kidney.js";
+import { words } from "./words.js";
+
+const scope = scopeView($("picture"), $("edges"));
+let view = null, about = null, cells = [], state = null, seeking = false;
+const pending = {};
+const later = (name, action) => { if (view) action(); else pending[name] = action; };
+const slug = (verdict) => verdict.replaceAll(" ", "-");
+
+const send = connect({
+  about(m) { if (!about) { about = m; build(m); } },
+  state(m) { state = m; show(m); },
+  scope(m) { scope.show(m); },
+  virtual(m) { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); },
+  ways(m) { later("ways", () => view.ways(m.path, m.route)); },
+  seen(m) { later("seen", () => view.seen(m.patches)); },
+  replay(m) { put($("play"), m.playing ? words.pause : words.play); put($("time"), `${m.at_s.toFixed(1)} s`); if (!seeking) $("at").value = m.at_s; },
+  notice(m) { put($("notice"), m.text); },
+});
+kidneyView($("kidney"), (name) => send("choose", name)).then((found) => { view = found; window.kidney = found; Object.values(pending).forEach((action) => action()); if (state) show(state); });
+
+function build(m) {
+  cells = m.calyces.map((name, i) => {
+    const item = document.createElement("li"), button = document.createElement("button"), image = new Image(), title = document.createElement("b"), share = document.createElement("span"), verdict = document.createElement("span");
+    button.type = "button"; image.src = `/calyx/${i}.jpg`; image.alt = ""; title.textContent = name;
+    verdict.className = "verdict"; button.append(image, title, share, verdict); button.setAttribute("aria-pressed", "false");
+    button.onclick = () => send("choose", name); item.append(button); $("strip").append(item);
+    return { name, button, title, share, verdict };
+  });
+  for (const [move, [label, key]] of Object.entries(words.moves)) {
+    const button = document.createElement("button"), hint = document.createElement("kbd");
+    button.type = "button"; button.append(`${label} `, hint); hint.textContent = key.toUpperCase();
+    hold(button, () => send("drive", move)); $("moves").append(button);
+  }
+  $("stop").hidden = $("robot-part").hidden = !m.robot;
+  $("drive-part").hidden = !m.drive; $("pilot").hidden = !m.pilot;
+  $("replay").hidden = m.duration_s === null; $("at").max = m.duration_s ?? 0;
+}
+
+function show(m) {
+  put($("status"), m.status); $("status").title = m.status;
+  put($("tag"), m.calyx ? `${m.calyx} · ${m.words}` : m.place || m.words);
+  put($("words"), m.pose ? `${m.words} (${Math.round(100 * m.confidence)} %)` : m.words);
+  $("bar").style.transform = `scaleX(${m.confidence})`;
+  $("bar").parentElement.className = `bar ${m.confidence >= 0.9 ? "inspected" : m.confidence >= 0.6 ? "glimpsed" : "unseen"}`;
+  put($("robot"), `${words.robot}: ${m.robot || words.unheard}`); put($("notice-robot"), m.notice);
+  $("pilot").setAttribute("aria-pressed", String(!m.by_hand));
+  put($("latency"), m.latency); $("latency").dataset.state = m.version;
+  const rows = new Map(m.coverage.map((row) => [row[0], row]));
+  for (const cell of cells) {
+    const [, , verdict = "unseen", share = 0] = rows.get(cell.name) ?? [];
+    put(cell.share, `${Math.round(100 * share)} %`); put(cell.verdict, words.verdicts[verdict]);
+    cell.share.className = cell.title.className = slug(verdict); cell.verdict.className = `verdict ${slug(verdict)}`;
+    cell.button.setAttribute("aria-pressed", String(cell.name === (m.chosen || m.next)));
+    cell.button.className = cell.name === m.calyx ? "here" : "";
+  }
+  if (view) { view.pose(m.pose); view.verdicts(m.coverage); }
+}
+
+const press = { stop: "stop", acknowledge: "acknowledge", arm: "arm", propose: "propose", end: "end", play: "play", step: "step" };
+for (const [id, name] of Object.entries(press)) $(id).onclick = () => send(name);
+$("brighter").onclick = () => send("brighten", 1);
+$("darker").onclick = () => send("brighten", -1);
+$("pilot").onclick = () => send("pilot", !!state?.by_hand);
+const toggleEdges = () => $("show-edges").setAttribute("aria-pressed", String(scope.toggle()));
+const toggleVirtual = () => { const c = $("virtual"); c.hidden = !c.hidden; $("show-virtual").setAttribute("aria-pressed", String(!c.hidden)); };
+$("show-edges").onclick = toggleEdges; $("show-virtual").onclick = toggleVirtual;
+$("at").oninput = () => { seeking = true; };
+$("at").onchange = () => { seeking = false; send("seek", Number($("at").value)); };
+
+const table = { " ": () => { if (about?.robot) send("stop"); else send("play"); }, a: () => send("acknowledge"), r: () => send("arm"), f: () => send("pilot", !!state?.by_hand), e: toggleEdges, v: toggleVirtual, 0: () => send("propose"), p: () => send("play"), ".": () => send("step"), ...turningKeys(() => view) };
+for (let i = 1; i <= 9; i++) table[i] = () => cells[i - 1] && send("choose", cells[i - 1].name);
+for (const [move, [, key]] of Object.entries(words.moves)) table[key] = () => about?.drive && send("drive", move);
+keys(table);
