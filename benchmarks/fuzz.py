@@ -1,0 +1,118 @@
+"""Every reader and wire parser of the package, fed with inputs that are almost right.
+
+    python -m benchmarks.fuzz seconds=3600
+    python -m benchmarks.fuzz seconds=60 seed=7 only=kidney.tables
+    python -m benchmarks.fuzz only=kidney.mesh.read_mesh number=1234 keep=found   # write that input to a folder
+
+Readers are found by their signatures (see ``benchmarks.fuzzing.discover``); good files are made from the phantom,
+bad ones that were found before come from ``URSNAV_CASES``. The bar: no exception but the package's own, no hang, no
+death of the process, at most 1.5 GiB, and no altered VID accepted. Exit code 1 where it does not hold.
+"""
+
+import multiprocessing
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks._results import overrides
+from benchmarks.fuzzing.discover import Reader, find_readers
+from benchmarks.fuzzing.feed import Feeder, Tally, peak_mb, quiet
+from benchmarks.fuzzing.seeds import make_seeds
+
+SETTINGS = {"seconds": 60.0, "seed": 0, "only": "", "number": -1, "keep": "", "most_mb": 1536.0}
+#: Seconds in which one reader is fed before the next one's turn.
+TURN_S = 0.3
+
+
+def main(arguments: list[str]) -> int:
+    """Feed all readers for some time, print what was found."""
+    settings = overrides(SETTINGS, arguments)
+    readers = [r for r in find_readers() if str(settings["only"]) in r.name]
+    with tempfile.TemporaryDirectory() as scratch:
+        make_seeds(Path(scratch) / "seeds")
+        if int(settings["number"]) >= 0:
+            return _keep(readers[0], Path(scratch), settings)
+        tallies, peak, deaths = _fed([r.name for r in readers], Path(scratch), settings)
+    return _told(tallies, peak, deaths, float(settings["most_mb"]))
+
+
+def _fed(names: list[str], scratch: Path, settings: dict[str, Any]) -> tuple[dict[str, Tally], float, list[str]]:
+    """Feed in another process, and in a new one after each death; tallies, peak memory in MiB, and the deaths."""
+    context = multiprocessing.get_context("spawn")
+    until = time.monotonic() + float(settings["seconds"])
+    tallies, peak, deaths = {name: Tally() for name in names}, 0.0, list[str]()
+    while time.monotonic() < until and len(deaths) < 100:
+        ours, theirs = context.Pipe()
+        now = context.Array("q", [0, 0])
+        left = until - time.monotonic()
+        work = (names, tallies, scratch, int(settings["seed"]), left, theirs, now)
+        process = context.Process(target=_work, args=work)
+        process.start()
+        theirs.close()
+        while True:
+            try:
+                tallies, peak_now = ours.recv()
+                peak = max(peak, peak_now)
+            except EOFError:
+                break
+        process.join()
+        if process.exitcode:
+            name, number = names[now[0]], now[1]
+            deaths.append(f"{name} number={number}: the process ended with {process.exitcode}")
+            tallies[name].inputs = number + 1
+    return tallies, peak, deaths
+
+
+def _work(
+    names: list[str], tallies: dict[str, Tally], scratch: Path, seed: int, seconds: float, pipe: Any, now: Any
+) -> None:
+    """Feed the readers in turns; tells tallies after each round, and in ``now`` which input is being read."""
+    quiet()
+    until = time.monotonic() + seconds
+    readers = {reader.name: reader for reader in find_readers()}
+    feeders = []
+    for place, name in enumerate(names):
+        now[0], now[1] = place, -1
+        feeder = Feeder(readers[name], scratch / "seeds", scratch / "work", seed)
+        feeder.tally = tallies[name]
+        feeders.append(feeder)
+    while time.monotonic() < until:
+        for place, feeder in enumerate(feeders):
+            turn = time.monotonic() + TURN_S
+            while time.monotonic() < turn:
+                now[0], now[1] = place, feeder.tally.inputs
+                feeder.feed(feeder.tally.inputs)
+        pipe.send(({f.reader.name: f.tally for f in feeders}, peak_mb()))
+    pipe.close()
+
+
+def _keep(reader: Reader, scratch: Path, settings: dict[str, Any]) -> int:
+    """Write one input to a folder, for a test."""
+    feeder = Feeder(reader, scratch / "seeds", scratch / "work", int(settings["seed"]))
+    place, file, data, sealed = feeder.input(int(settings["number"]))
+    folder = Path(str(settings["keep"]) or ".")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{settings['number']}_{file.name}").write_bytes(data)
+    print(f"{reader.name}: {place.name}, {file.name}, {len(data)} bytes, checksums made anew: {sealed}")
+    return 0
+
+
+def _told(tallies: dict[str, Tally], peak: float, deaths: list[str], most_mb: float) -> int:
+    """Print a table and the findings; the exit code."""
+    print(f"{'reader':48} {'inputs':>9} {'refused':>9} {'slowest s':>9}  findings")
+    for name, tally in tallies.items():
+        print(f"{name:48} {tally.inputs:9} {tally.refused:9} {tally.slowest_s:9.2f}  {len(tally.findings)}")
+    total, found = sum(t.inputs for t in tallies.values()), sum(len(t.findings) for t in tallies.values())
+    print(f"{len(tallies)} readers, {total} inputs, {found} findings, {len(deaths)} deaths, peak {peak:.0f} MiB")
+    for name, tally in tallies.items():
+        for number, text in tally.findings.values():
+            print(f"  {name} number={number}: {text}")
+    for text in deaths:
+        print(f"  {text}")
+    return int(bool(found or deaths or peak > most_mb))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
