@@ -42,4 +42,6 @@ def read_regular(path: str | Path, what: str, most_bytes: int) -> bytes:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)  # else a pipe that nobody writes to holds the program for ever
+    return os.open(
+        path, flags | getattr(os, "O_NONBLOCK", 0)
+    )  # else a pipe that nobody writes to holds the program for ever

@@ -2,6 +2,7 @@
 
 import contextlib
 import faulthandler
+import os
 import random
 import resource
 import shutil
@@ -53,12 +54,14 @@ class Feeder:
         self.reader, self.seed, self.tally = reader, seed, Tally()
         self._work = work / reader.name
         self._work.mkdir(parents=True, exist_ok=True)
-        self._places = self._fitting(sorted(seeds.iterdir()))
+        self._places = self._fitting([*sorted(seeds.iterdir()), *sorted(p for p in seeds.glob("*/*") if p.is_dir())])
 
     def _fitting(self, places: list[Path]) -> list[Path]:
         """The seeds that the reader takes as they are, and those of the same endings; all where it takes none."""
         if self.reader.takes == "bytes":
-            return [path for path in places if path.is_file() and path.stat().st_size < 1 << 16]
+            small = [path for path in places if path.is_file() and path.stat().st_size < 1 << 16]
+            good = [path for path in small if self._takes(path)]
+            return good + [path for path in small if path.suffix == ".wire" and path not in good]
         good = [path for path in places if not path.name.startswith("known_") and self._takes(path)]
         endings = {path.suffix for path in good if path.is_file()}
         fitting = good + [p for p in places if p not in good and p.is_file() and p.suffix in endings]
@@ -67,7 +70,7 @@ class Feeder:
     def _takes(self, path: Path) -> bool:
         try:
             with _alarm():
-                self.reader.call(path)
+                self.reader.call(path if self.reader.takes == "path" else path.read_bytes())
         except (Exception, HangError):
             return False
         return True
@@ -169,8 +172,9 @@ def peak_mb() -> float:
 
 
 def quiet() -> None:
-    """No warnings, no numpy complaints: only exceptions count."""
+    """No warnings, no numpy complaints, no decoders' talk: only exceptions count."""
     import numpy as np
 
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import struct
 from pathlib import Path
 
 import cv2
@@ -31,6 +32,7 @@ def make_seeds(folder: Path) -> None:
     plan = PlanSettings(views_per_calyx=2, passage_views=2)
     vid = build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1)
     export_thesis(vid, folder / "views")
+    shutil.copy(folder / "vid" / "features.safetensors", folder / "features.safetensors")
     write_calyces(folder / "calyces.csv", kidney.calyces, kidney.pelvis_mm)
     write_centerline(folder / "centerline.csv", kidney.centerline, [c.name for c in kidney.calyces])
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=20.0)
@@ -66,7 +68,7 @@ def _write_tables(folder: Path, poses: list[dict[str, float]]) -> None:
     write_csv(folder / "track.csv", TRACK_COLUMNS, [
         {"frame": i, "t_s": i / 10, "calyx": "A", "state": "tracking"} | poses[i] for i in n
     ])  # fmt: skip
-    (folder / "script.csv").write_text("t_s,insertion,light_step,arm\n0,0.5,1,true\n1,0,0,false\n")
+    (folder / "script.csv").write_text("t_s,insertion,light_step,arm\n0,0.5,1,1\n1,0,0,0\n")
 
 
 def _write_pictures(folder: Path) -> None:
@@ -105,7 +107,8 @@ def _write_wire(folder: Path) -> None:
     igtl = pack_message(Message("TRANSFORM", "tip", content, 1.0))
     seen = NdiTool(1, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0, 3.0), 0.1, 7)
     bx = pack_bx([seen, NdiTool(2, None, None, 0.0, 8)])
-    parts = {"igtl": igtl, "igtl_body": igtl[58:], "transform": content, "ndi": bx, "ndi_body": bx[6:]}
+    parts = {"igtl": igtl, "igtl_body": igtl[58:], "transform": content, "ndi": bx, "ndi_body": bx[6:-2]}
+    parts |= {"igtl_head": igtl[:58], "position": content[:28], "ints": struct.pack("<III3i", 0, 0, 3, 1, 2, 3)}
     parts["rosserial"] = bytes([0xFF, 0xFE, 0x02, 0x00, 0xFD, 0x0A, 0x00, 0x01, 0x02, 0xF2])
     for name, data in parts.items():
         (folder / f"{name}.wire").write_bytes(data)

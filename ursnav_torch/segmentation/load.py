@@ -14,12 +14,12 @@ from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.tables import read_calyces
+from ursnav_torch.segmentation.apart import read_scan
 from ursnav_torch.segmentation.contrast import lumen_of_contrast
 from ursnav_torch.segmentation.curves import with_curves
 from ursnav_torch.segmentation.labels import label_counts, lumen_of_label
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import calyces_from_markups, curves_of, read_markups
-from ursnav_torch.segmentation.read import read_scan
 from ursnav_torch.segmentation.scan import Scan
 from ursnav_torch.segmentation.surface import lumen_surface
 

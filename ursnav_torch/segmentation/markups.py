@@ -40,7 +40,7 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
     try:
         data = read_json(Path(path), "markups")
         markups = tuple(_markup(m) for m in data["markups"])
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is not a markups file of 3D Slicer ({type(error).__name__}: {error}).") from None

@@ -19,8 +19,8 @@ _FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 LARGEST_VOXELS = 1_000_000_000
 
 
-def read_scan(path: Path | str, series: str | None = None, largest_voxels: int = LARGEST_VOXELS) -> Scan:
-    """A scan or label map from a NIfTI, NRRD or MetaImage file, or from a folder with the slices of a DICOM series.
+def read_scan_here(path: Path | str, series: str | None = None, largest_voxels: int = LARGEST_VOXELS) -> Scan:
+    """What `read_scan` does, in this process, which a damaged file may kill.
 
     Args:
         path: file or folder.

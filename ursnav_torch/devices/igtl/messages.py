@@ -60,6 +60,8 @@ class Header:
         Raises:
             DeviceProtocolError: they are no OpenIGTLink header.
         """
+        if len(raw) != HEADER.size:
+            raise DeviceProtocolError(f"OpenIGTLink: a header has {HEADER.size} bytes, got {len(raw)}.")
         version, kind, device, stamp, size, crc = HEADER.unpack(raw)
         try:
             names = kind.rstrip(b"\0").decode("ascii"), device.rstrip(b"\0").decode("ascii")

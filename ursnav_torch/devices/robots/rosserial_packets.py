@@ -46,13 +46,22 @@ class TopicInfo:
 
     @classmethod
     def unpack(cls, payload: bytes) -> "TopicInfo":
-        """Read a serialized TopicInfo; raises struct.error or UnicodeDecodeError where it is broken."""
-        (topic,), at, texts = struct.unpack_from("<H", payload), 2, []
-        for _ in range(3):
-            (length,) = struct.unpack_from("<I", payload, at)
-            texts.append(payload[at + 4 : at + 4 + length].decode())
-            at += 4 + length
-        return cls(topic, texts[0], texts[1], texts[2], struct.unpack_from("<i", payload, at)[0])
+        """Read a serialized TopicInfo.
+
+        Raises:
+            DeviceProtocolError: it is cut short or no text.
+        """
+        at, texts = 2, []
+        try:
+            (topic,) = struct.unpack_from("<H", payload)
+            for _ in range(3):
+                (length,) = struct.unpack_from("<I", payload, at)
+                texts.append(payload[at + 4 : at + 4 + length].decode())
+                at += 4 + length
+            (buffer_bytes,) = struct.unpack_from("<i", payload, at)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise DeviceProtocolError(f"unreadable topic announcement ({error}).") from error
+        return cls(topic, texts[0], texts[1], texts[2], buffer_bytes)
 
 
 def encode(packet: Packet) -> bytes:
@@ -222,8 +231,8 @@ class RosserialLink:
     def _learn(self, payload: bytes, needed: dict[str, tuple[str, str]]) -> None:
         try:
             info = TopicInfo.unpack(payload)
-        except (struct.error, UnicodeDecodeError) as error:
-            raise DeviceProtocolError(f"{self.port}: unreadable topic announcement ({error}).") from error
+        except DeviceProtocolError as error:
+            raise DeviceProtocolError(f"{self.port}: {error}") from error
         wanted = needed.get(info.name)
         if wanted and wanted != (info.type_name, info.md5):
             raise DeviceProtocolError(
