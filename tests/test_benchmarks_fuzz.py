@@ -1,0 +1,29 @@
+"""A minute of the fuzzer with a fixed seed, and what it once found, in small."""
+
+import random
+
+import pytest
+
+from benchmarks import fuzz
+from benchmarks.fuzzing.discover import find_readers
+from benchmarks.fuzzing.mutate import mutate
+
+
+def test_readers_are_found_by_their_signatures() -> None:
+    found = {reader.name: reader.takes for reader in find_readers()}
+    assert found["camera.load_camera" if "camera.load_camera" in found else "camera.lens.load_camera"] == "path"
+    assert found["vid.store.load_vid"] == found["session.replay.Replay"] == "path"
+    assert found["devices.igtl.messages.unpack_transform"] == "bytes"
+    assert len(found) >= 35
+
+
+def test_inputs_are_made_from_their_numbers_alone() -> None:
+    good = b'{"a": [1, 2.5], "b": "x"}\n' * 3
+    made = [mutate(good, [good], random.Random(number)) for number in range(200)]
+    assert made == [mutate(good, [good], random.Random(number)) for number in range(200)]
+    assert len(set(made)) > 150 and good not in made[:1]
+
+
+@pytest.mark.slow
+def test_a_minute_of_fuzzing_finds_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    assert fuzz.main(["seconds=60", "seed=7"]) == 0, capfd.readouterr().out
