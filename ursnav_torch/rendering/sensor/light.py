@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ursnav_torch.rendering.sensor.bounce import bounced
 from ursnav_torch.rendering.sensor.settings import check_settings, choice, setting
 from ursnav_torch.rendering.sensor.surface import Floats, Surface
 from ursnav_torch.rendering.sensor.wall import PaintedWall
@@ -31,6 +32,9 @@ class LightFaults:
     wrap: float = setting(0.0, 0, 0.5, "light that seeps past the terminator under the mucosa")
     gloss: float = setting(0.0, 0, 3, "strength of highlights on the wet wall, relative to its reflectance")
     shininess: float = choice(40.0, "Blinn exponent of the highlights; 5 (matt print) to 200 (wet mucosa)")
+    bounce: float = setting(
+        0.0, 0, 1.5, "light between the walls: 1 gathers one diffuse bounce; more stands for further ones"
+    )
     turbidity_per_mm: float = setting(0.0, 0, 0.12, "light lost a mm of murky irrigation, there and back")
     gamma: float = choice(2.2, "picture value = radiance ** (1 / gamma); 1.4-2.8")
     exposure_level: float = choice(0.8, "picture value of the 90th percentile of the wall; 0.3-0.95")
@@ -39,10 +43,22 @@ class LightFaults:
         check_settings(self)
 
 
-def shade(surface: Surface, wall: PaintedWall, faults: LightFaults) -> Floats:
-    """Picture values (N, 3), blue green red, of the lit wall; 1 is the sensor's white, brighter spots exceed it."""
+def lamp_place(surface: Surface, faults: LightFaults) -> Floats:
+    """Where the LED is, (3,) mm in the camera frame: beside the lens as far as there is room."""
     beside = np.array([np.cos(faults.angle_rad), np.sin(faults.angle_rad), 0], np.float32)
-    led = np.float32(min(faults.offset_mm, _ROOM_USED * room_beside(surface, beside))) * beside
+    return np.float32(min(faults.offset_mm, _ROOM_USED * room_beside(surface, beside))) * beside
+
+
+def shade(surface: Surface, wall: PaintedWall, faults: LightFaults, led: Floats, lit: Floats | None = None) -> Floats:
+    """Picture values (N, 3), blue green red, of the lit wall; 1 is the sensor's white, brighter spots exceed it.
+
+    Args:
+        surface: N points.
+        wall: their paint.
+        faults: the light.
+        led: (3,) see `lamp_place`.
+        lit: (N,) share of its direct light that reaches each point; all where left out.
+    """
     to_light = led - surface.rays * surface.distance_mm[:, None]
     square = np.einsum("ij,ij->i", to_light, to_light)
     to_light /= np.sqrt(np.maximum(square, 1e-6))[:, None]
@@ -51,7 +67,13 @@ def shade(surface: Surface, wall: PaintedWall, faults: LightFaults) -> Floats:
     falloff = 1 / (square + np.float32(faults.reach_mm**2))
     if faults.beam > 0:
         falloff *= np.clip(-to_light[:, 2], 0.02, 1) ** faults.beam  # the LED looks along the optical axis
-    radiance = (np.maximum(wall.color, 1e-3) ** faults.gamma) * (diffuse * falloff)[:, None]
+    if lit is not None:
+        falloff = falloff * lit
+    reflectance = np.minimum(np.maximum(wall.color, 1e-3) ** faults.gamma, 1.2)
+    radiance = reflectance * (diffuse * falloff)[:, None]
+    if faults.bounce > 0:
+        direct = np.maximum(cosine, 0) * falloff
+        radiance += reflectance * np.float32(faults.bounce) * bounced(surface, wall.normals, reflectance, direct)
     if faults.gloss > 0:
         radiance += (_highlights(surface, wall, to_light, faults) * falloff)[:, None]
     if faults.turbidity_per_mm > 0:

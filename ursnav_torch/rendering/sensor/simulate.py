@@ -1,5 +1,6 @@
 """The whole way from a rendered wall to an 8-bit picture with faults."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,12 +8,17 @@ from numpy.typing import NDArray
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.rendering.base import Renderer, View
+from ursnav_torch.rendering.sensor.bodies import CLUTTER, WALL, BodyFaults, Stone, place_stones, with_bodies
 from ursnav_torch.rendering.sensor.electronics import ElectronicsFaults, digitize
-from ursnav_torch.rendering.sensor.light import LightFaults, shade
+from ursnav_torch.rendering.sensor.light import LightFaults, lamp_place, shade
 from ursnav_torch.rendering.sensor.occluders import OccluderFaults, occlude
 from ursnav_torch.rendering.sensor.optics import OpticsFaults, through_lens
 from ursnav_torch.rendering.sensor.surface import lens_rays, surface_of
 from ursnav_torch.rendering.sensor.wall import WallFaults, paint
+
+
+#: Debris, bubbles and blood count as clutter where they change a picture value (0 to 1) by this much.
+_COVERED = 0.12
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +27,25 @@ class SensorFaults:
 
     wall: WallFaults = field(default_factory=WallFaults)
     light: LightFaults = field(default_factory=LightFaults)
+    bodies: BodyFaults = field(default_factory=BodyFaults)
     occluders: OccluderFaults = field(default_factory=OccluderFaults)
     optics: OpticsFaults = field(default_factory=OpticsFaults)
     electronics: ElectronicsFaults = field(default_factory=ElectronicsFaults)
+
+
+@dataclass(frozen=True, slots=True)
+class Labeled:
+    """A simulated picture and what is in it.
+
+    Attributes:
+        image: (H, W, 3) uint8, blue green red.
+        kind: (H, W) uint8, `bodies.WALL`, `STONE`, `INSTRUMENT` or `CLUTTER`.
+        stones: those in the kidney, in sight or not.
+    """
+
+    image: NDArray[np.uint8]
+    kind: NDArray[np.uint8]
+    stones: tuple[Stone, ...]
 
 
 def simulate(
@@ -44,11 +66,36 @@ def simulate_view(
     view: View, camera: Camera, T_kidney_camera: NDArray[np.float64], faults: SensorFaults, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """`simulate` from a view that is already rendered through ``camera``."""
+    return simulate_labeled(view, camera, T_kidney_camera, faults, rng).image
+
+
+def simulate_labeled(
+    view: View,
+    camera: Camera,
+    T_kidney_camera: NDArray[np.float64],
+    faults: SensorFaults,
+    rng: np.random.Generator,
+    stones: Sequence[Stone] | None = None,
+) -> Labeled:
+    """`simulate_view` with the truth on what lies before the wall.
+
+    Args:
+        view, camera, T_kidney_camera, faults, rng: see `simulate`.
+        stones: those of the kidney, which stay put for a whole video; drawn anew where None.
+    """
     surface = surface_of(view, camera, T_kidney_camera)
     mask = lens_rays(camera)[1]
+    led = lamp_place(surface, faults.light)
+    if stones is None:
+        stones = place_stones(surface, T_kidney_camera, faults.bodies, rng) if len(surface.pixels) else ()
+    seen = with_bodies(surface, paint(surface, faults.wall), T_kidney_camera, faults.bodies, stones, led)
     picture = np.zeros((mask.size, 3), np.float32)
-    picture[surface.pixels] = shade(surface, paint(surface, faults.wall), faults.light)
+    picture[surface.pixels] = shade(seen.surface, seen.wall, faults.light, led, seen.lit)
     picture = picture.reshape(*mask.shape, 3)
-    picture = occlude(picture, mask, camera, faults.occluders, rng)
-    picture = through_lens(picture, mask, camera, faults.optics, rng)
-    return digitize(picture, mask, faults.electronics, rng)
+    kind = np.zeros(mask.size, np.uint8)
+    kind[surface.pixels] = seen.kind
+    kind = kind.reshape(mask.shape)
+    covered = occlude(picture, mask, camera, faults.occluders, rng)
+    kind[(np.abs(covered - picture).max(2) > _COVERED) & (kind == WALL)] = CLUTTER
+    covered = through_lens(covered, mask, camera, faults.optics, rng)
+    return Labeled(digitize(covered, mask, faults.electronics, rng), kind, tuple(stones))
