@@ -20,7 +20,7 @@ from ursnav_torch.rendering.sensor import (
     simulate_view,
 )
 from ursnav_torch.rendering.sensor.electronics import digitize
-from ursnav_torch.rendering.sensor.light import shade
+from ursnav_torch.rendering.sensor.light import lamp_place, shade
 from ursnav_torch.rendering.sensor.noise import fractal_noise, noise_and_slope, solid_noise
 from ursnav_torch.rendering.sensor.optics import through_lens
 from ursnav_torch.rendering.sensor.surface import Surface, lens_rays, surface_of
@@ -140,7 +140,8 @@ def test_convention_radiance_falls_with_the_square_of_distance() -> None:
     z = np.array([4.0, 8.0], np.float32)
     ahead = np.tile(np.array([[0, 0, 1]], np.float32), (2, 1))
     surface = Surface(np.arange(2), ahead, z, -ahead, ahead * z[:, None], np.eye(3, dtype=np.float32))
-    values = shade(surface, paint(surface, WallFaults()), LightFaults(reach_mm=0.0, ambient=0.0, gamma=1.0))[:, 0]
+    faults = LightFaults(reach_mm=0.0, ambient=0.0, gamma=1.0)
+    values = shade(surface, paint(surface, WallFaults()), faults, lamp_place(surface, faults))[:, 0]
     assert values[0] / values[1] == pytest.approx(4, rel=1e-5)
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_csv
@@ -14,7 +15,7 @@ from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tables import read_csv
-from ursnav_torch.vid import Vid, build_vid, export_thesis, pose_cells, read_views
+from ursnav_torch.vid import Vid, build_vid, export_thesis, pose_cells, read_poses, read_views
 
 
 @pytest.fixture
@@ -121,3 +122,13 @@ def test_pictures_of_another_lens_are_refused(exported: Path, phantom: Kidney, t
     with pytest.raises(InputError, match="96 x 96 px, but the lens is 120 x 120"):
         build_vid(phantom, lens, DefaultSettings(), RaycastRenderer, read_views(exported), tmp_path / "vid", workers=1)
     assert not (tmp_path / "vid").exists()
+
+
+def test_views_are_drawn_at_given_places(vid: Vid, phantom: Kidney, lens: Camera, tmp_path: Path) -> None:
+    table = tmp_path / "poses.csv"
+    write_csv(table, POSE_COLUMNS, pose_cells(vid.T_kidney_camera[:6]))
+    drawn = build_vid(phantom, lens, DefaultSettings(), RaycastRenderer, read_poses(table), tmp_path / "vid", workers=1)
+    np.testing.assert_allclose(drawn.T_kidney_camera, vid.T_kidney_camera[:6], atol=1e-5)
+    np.testing.assert_array_equal(drawn.calyx, vid.calyx[:6])
+    here, there = (cv2.imread(str(v.image_path(2)), 0).astype(int) for v in (drawn, vid))
+    assert np.abs(here - there).mean() < 0.5

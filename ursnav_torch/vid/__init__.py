@@ -4,7 +4,7 @@ from ursnav_torch.vid.base import Vid, ViewFeatures
 from ursnav_torch.vid.build import build_vid
 from ursnav_torch.vid.compute import Compute, DaskCompute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
-from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_views
+from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_poses, read_views
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
 from ursnav_torch.vid.store import load_vid, pose_cells, poses_from_rows, save_vid
 
@@ -26,6 +26,7 @@ __all__ = [
     "plan_views",
     "pose_cells",
     "poses_from_rows",
+    "read_poses",
     "read_views",
     "save_vid",
 ]

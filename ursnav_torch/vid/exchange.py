@@ -26,10 +26,10 @@ _OUTSIDE_MM = 3.0
 
 @dataclass(frozen=True, slots=True)
 class CollectedViews:
-    """Views that somebody took elsewhere.
+    """Views at places chosen elsewhere.
 
     Attributes:
-        pictures: (V,) files.
+        pictures: (V,) files; none where the views are to be drawn.
         T_kidney_camera: (V, 4, 4).
         calyx: (V,) names, blank for none; or None, and the rule of `observed_calyx` labels them.
         path: the CSV file they come from.
@@ -90,6 +90,19 @@ def read_views(path: str | Path, mm_per_unit: float | None = None) -> CollectedV
     names = tuple(row["calyx"].strip() for row in rows) if "calyx" in rows[0] else None
     pictures = tuple(_picture(folder, row) for row in rows)
     return CollectedViews(pictures, check_rigid(T, f"A pose of {table}"), names, table)
+
+
+def read_poses(path: str | Path) -> CollectedViews:
+    """Places at which views are to be drawn: a CSV file ``x_mm,y_mm,z_mm,qx,qy,qz,qw``, perhaps ``calyx``.
+
+    Raises:
+        InputError: something is missing, or is not a pose.
+    """
+    table = Path(path)
+    rows = read_csv(table, POSE_COLUMNS, "poses")
+    names = tuple(row["calyx"].strip() for row in rows) if "calyx" in rows[0] else None
+    T = check_rigid(poses_from_rows(rows, table), f"A pose of {table}")
+    return CollectedViews((), T, names, table)
 
 
 def export_thesis(vid: Vid, folder: Path, mm_per_unit: float = THESIS_MM_PER_UNIT, overwrite: bool = False) -> None:

@@ -114,7 +114,7 @@ def with_bodies(
     stones: Sequence[Stone],
     light_camera_mm: Floats,
 ) -> Seen:
-    """The surface with stones and an instrument before it, and what of the light at ``light_camera_mm`` (3,) is left."""
+    """The surface with bodies before it, and what of the light of a lamp at ``light_camera_mm`` (3,) is left."""
     kind = np.zeros(len(surface.pixels), np.uint8)
     lit = np.ones(len(surface.pixels), np.float32)
     if not stones and faults.instrument_mm <= 0:
@@ -190,7 +190,9 @@ def _axis(faults: BodyFaults) -> tuple[Floats, Floats]:
     return side * beside, tip
 
 
-def _stone_skin(stone: Stone, points: Floats, A: Floats, center: Floats, T_kidney_camera: Array) -> tuple[Floats, Floats]:
+def _stone_skin(
+    stone: Stone, points: Floats, A: Floats, center: Floats, T_kidney_camera: Array
+) -> tuple[Floats, Floats]:
     """Normals (N, 3), camera frame, and colors (N, 3) of a stone at points (N, 3), camera frame."""
     local = points - center
     normal = (local @ A.T) @ A
@@ -206,9 +208,7 @@ def _stone_skin(stone: Stone, points: Floats, A: Floats, center: Floats, T_kidne
     return normal, patches[:, None] * np.array(stone.bgr, np.float32)
 
 
-def _lit(
-    points: Floats, light: Floats, stones: Sequence[Stone], faults: BodyFaults, T_kidney_camera: Array
-) -> Floats:
+def _lit(points: Floats, light: Floats, stones: Sequence[Stone], faults: BodyFaults, T_kidney_camera: Array) -> Floats:
     """Share (N,) of the light at ``light`` (3,) that reaches points (N, 3), all in the camera frame."""
     towards = points - light
     far = np.linalg.norm(towards, axis=1)

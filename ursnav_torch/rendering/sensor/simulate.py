@@ -16,7 +16,6 @@ from ursnav_torch.rendering.sensor.optics import OpticsFaults, through_lens
 from ursnav_torch.rendering.sensor.surface import lens_rays, surface_of
 from ursnav_torch.rendering.sensor.wall import WallFaults, paint
 
-
 #: Debris, bubbles and blood count as clutter where they change a picture value (0 to 1) by this much.
 _COVERED = 0.12
 
