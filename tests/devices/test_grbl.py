@@ -22,6 +22,12 @@ FORWARD = JointRates(insertion_mm_s=4.0)
 JOG = b"$J=G21G91Z0.44800F240.00\n"
 
 
+@pytest.fixture(autouse=True)
+def asked_rarely(monkeypatch):
+    """Dialogues are said word by word: a busy machine must not ask in between where the board stands."""
+    monkeypatch.setattr("ursnav_torch.devices.robots.grbl.REPORT_S", 60.0)
+
+
 @pytest.fixture
 def board():
     board = GrblBoard()
@@ -89,7 +95,7 @@ def test_stop_and_acknowledgment_unlock_the_board():
     [
         (b"error:15\r\n", DeviceProtocolError, "beyond the machine's travel"),
         (b"ALARM:1\r\n", DeviceProtocolError, "hard limit hit"),
-        (BANNER, DeviceProtocolError, "was reset in mid-command"),
+        (BANNER, DeviceProtocolError, "was reset in mid-session"),
         (b"rubbish\r\n", DeviceProtocolError, "answered 'rubbish'"),
         (b"\xff\xfe\x80ok\r\n", DeviceProtocolError, "answered"),
         (b"o", DeviceTimeoutError, "so far b'o'"),
@@ -167,16 +173,65 @@ def test_the_robot_goes_where_it_was_sent(board, robot):
     assert joints.insertion_mm == pytest.approx(2.0, abs=0.4)
 
 
-def test_power_cut_in_mid_drive_keeps_the_joints(board, robot):
-    robot.arm()
-    drive(robot, FORWARD, 0.2)
-    robot.stop()
-    wait_until(lambda: not board.moving, 0.3)
-    before = robot.read().joints
-    board.power_cycle()
-    robot.emergency_stop("power cut")
-    robot.acknowledge()
-    assert robot.read().joints.insertion_mm == pytest.approx(before.insertion_mm, abs=2e-3)
+def greeted(greeting, status=IDLE, settings=SETTINGS_TEXT):
+    """What a board of another make says while it is connected."""
+    return [(b"\x18", greeting), (b"$$\n", settings), (b"?", status)]
+
+
+@pytest.mark.parametrize(
+    "greeting",
+    [
+        b"GrblHAL 1.1f ['$' or '$HELP' for help]\r\n",
+        b"\xf8\x00\xffGrbl 1.1h ['$' for help]\r\n",
+        b"Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]\r\n",
+        b"Grbl 1.2h ['$' for help]\r\n[MSG:Check Limits]\r\n>G54G20:ok\r\n",
+    ],
+)
+def test_boards_that_speak_grbl_under_another_name_are_taken(greeting):
+    with dialogue([*greeted(greeting), (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
+        assert robot.gate.state == "disarmed"
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        b"<Idle|MPos:1.000,-2.500,3.250,0.000|Bf:35,1023|FS:0,0|WCO:0.000,0.000,0.000,0.000>\r\n",
+        b"<Hold:0|MPos:1.000,-2.500,3.250,0.000,9.000|Bf:15,128|Ln:0|FS:0,0|Pn:XYZ|Ov:100,100,100|A:SFM>\r\n",
+        b"<Idle|MPos: 1.000, -2.500, 3.250|FS:0,0>\r\n",
+        b"<Idle|MPos:1e0,-25e-1,3.25|FS:0,0>\r\n",
+    ],
+)
+def test_of_more_axes_the_first_three_are_taken(status):
+    with dialogue([*greeted(BANNER, status), (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
+        np.testing.assert_array_equal(robot._offset_mm, [1.0, -2.5, 3.25])
+
+
+def test_settings_that_are_explained_in_brackets_are_read():
+    settings = SETTINGS_TEXT.replace(b"$30=1000", b"$30=1000 (max spindle speed, RPM)")
+    with dialogue([*greeted(BANNER, settings=settings), (b"\x85", b"")]) as (path, _, _), GrblRobot(path):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("setting", "error", "message"),
+    [
+        (b"$30=0", InputError, r"\$30 must be positive, got 0"),
+        (b"$30=1.2.3", DeviceProtocolError, r"\$30 must be a number, got '1.2.3'"),
+        (b"$122=nan", DeviceProtocolError, r"\$122 must be a number from 0"),
+    ],
+)
+def test_settings_that_nothing_can_be_computed_from_are_refused(setting, error, message):
+    key = setting.split(b"=")[0] + b"="
+    lines = [setting if line.startswith(key) else line for line in SETTINGS_TEXT.split(b"\r\n")]
+    with dialogue([(b"\x18", BANNER), (b"$$\n", b"\r\n".join(lines))]) as (path, _, _):
+        with pytest.raises(error, match=message):
+            GrblRobot(path).connect()
+
+
+def test_a_greeting_of_something_else_is_told():
+    with dialogue([(b"\x18", b"Marlin 2.1\r\nstart\r\n")]) as (path, _, _):
+        with pytest.raises(DeviceTimeoutError, match=r"it sent \['Marlin 2.1', 'start'\]"):
+            GrblRobot(path, boot_s=0.3).connect()
 
 
 def test_the_end_of_the_slider_is_kept(board):

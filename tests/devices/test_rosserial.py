@@ -22,8 +22,8 @@ from ursnav_torch.devices.robots.rosserial_packets import (
     Packet,
     RosserialLink,
     TopicInfo,
-    encode,
     pack_ints,
+    pack_packet,
     unpack_ints,
 )
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
@@ -32,7 +32,7 @@ from ursnav_torch.simulation.rosserial_board import RosserialBoard
 
 FORWARD = JointRates(insertion_mm_s=4.0)
 ANNOUNCED = b"".join(
-    encode(Packet(kind, TopicInfo(number, name, *message).pack()))
+    pack_packet(Packet(kind, TopicInfo(number, name, *message).pack()))
     for kind, number, name, message in [
         (0, 100, BEND_POSITION, INT32S),
         (0, 101, SLIDER_POSITION, INT32S),
@@ -41,11 +41,11 @@ ANNOUNCED = b"".join(
         (1, 104, LIGHT, UINT8),
     ]
 )
-STANDING = encode(Packet(100, pack_ints([0, 0, 0]))) + encode(Packet(101, pack_ints([0, 0])))
+STANDING = pack_packet(Packet(100, pack_ints([0, 0, 0]))) + pack_packet(Packet(101, pack_ints([0, 0])))
 CONNECT = (REQUEST_TOPICS, ANNOUNCED + STANDING)
-#: 4 mm/s at 400 steps a mm for 150 ms.
-DRIVE = encode(Packet(102, pack_ints([0, 0, 150]))) + encode(Packet(103, pack_ints([240, 150])))
-HALT = encode(Packet(102, pack_ints([0, 0, 0]))) + encode(Packet(103, pack_ints([0, 0])))
+#: 4 mm/s at 400 steps a mm for 120 ms.
+DRIVE = pack_packet(Packet(102, pack_ints([0, 0, 120]))) + pack_packet(Packet(103, pack_ints([192, 120])))
+HALT = pack_packet(Packet(102, pack_ints([0, 0, 0]))) + pack_packet(Packet(103, pack_ints([0, 0])))
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def robot(board):
 
 
 def test_convention_bytes_are_those_of_the_protocol():
-    assert encode(Packet(125, b"\x34\x12")).hex(" ") == "ff fe 02 00 fd 7d 00 34 12 3c"
+    assert pack_packet(Packet(125, b"\x34\x12")).hex(" ") == "ff fe 02 00 fd 7d 00 34 12 3c"
     assert REQUEST_TOPICS.hex(" ") == "ff fe 00 00 ff 00 00 ff"
     assert STOP_SENDING.hex(" ") == "ff fe 00 00 ff 0b 00 f4"
 
@@ -80,7 +80,7 @@ def test_convention_md5_sums_are_those_of_the_message_definitions():
 
 @given(st.lists(st.tuples(st.integers(0, 65535), st.binary(max_size=40)), max_size=5), st.integers(1, 7))
 def test_packets_survive_the_stream_in_pieces_of_any_size(items, piece):
-    stream = b"boot\r\n" + b"".join(encode(Packet(*item)) for item in items)
+    stream = b"boot\r\n" + b"".join(pack_packet(Packet(*item)) for item in items)
     decoder, found = Decoder(), []
     for at in range(0, len(stream), piece):
         found += decoder.feed(stream[at : at + piece])
@@ -89,7 +89,7 @@ def test_packets_survive_the_stream_in_pieces_of_any_size(items, piece):
 
 @given(st.integers(0, 9), st.integers(1, 255))
 def test_every_changed_byte_is_noticed(at, change):
-    raw = bytearray(encode(Packet(125, b"\x34\x12")))
+    raw = bytearray(pack_packet(Packet(125, b"\x34\x12")))
     raw[at] ^= change
     decoder = Decoder()
     try:
@@ -100,9 +100,9 @@ def test_every_changed_byte_is_noticed(at, change):
 
 def test_decoding_goes_on_after_a_broken_packet():
     decoder = Decoder()
-    broken = encode(Packet(125, b"\x34\x12"))[:-1] + b"\x00"
+    broken = pack_packet(Packet(125, b"\x34\x12"))[:-1] + b"\x00"
     with pytest.raises(DeviceProtocolError, match="wrong checksum"):
-        decoder.feed(broken + encode(Packet(126, b"")))
+        decoder.feed(broken + pack_packet(Packet(126, b"")))
     assert decoder.feed(b"") == [Packet(126, b"")]
 
 
@@ -115,12 +115,13 @@ def test_connect_drive_stop_and_disconnect_say_exactly_these_bytes():
     end = (HALT + STOP_SENDING, b"")
     with dialogue([CONNECT, (DRIVE, STANDING), (HALT, b""), end]) as (path, _, _), RosserialRobot([path]) as robot:
         robot.arm()
+        robot._heard_s = [time.monotonic() + 60] * 2  # a report that stays fresh
         assert robot.command(FORWARD, True).sent == FORWARD
         assert robot.command(JointRates(), True).sent.is_zero
 
 
 def test_the_board_gets_the_time_it_asks_for():
-    asks = encode(Packet(10, bytes(8)))
+    asks = pack_packet(Packet(10, bytes(8)))
     link_needs = {LIGHT: UINT8}
     with dialogue([(REQUEST_TOPICS, asks + ANNOUNCED)]) as (path, board, _):
         board.steps.append((b"\xff\xfe\x08\x00\xf7\x0a\x00", b""))
@@ -138,7 +139,7 @@ def test_the_board_gets_the_time_it_asks_for():
     ("answer", "error", "message"),
     [
         (STANDING[:-1] + b"\x00", DeviceProtocolError, "wrong checksum"),
-        (encode(Packet(100, b"\x01\x02")), DeviceProtocolError, "not an Int32MultiArray"),
+        (pack_packet(Packet(100, b"\x01\x02")), DeviceProtocolError, "not an Int32MultiArray"),
         (b"booting" + ANNOUNCED, DeviceProtocolError, "was reset in mid-session"),
         (STANDING[:9], DeviceTimeoutError, "is the board hung"),
         (b"", DeviceTimeoutError, "is the board hung"),
@@ -149,9 +150,11 @@ def test_a_fault_in_mid_drive_stops_the_motors_within_the_deadline(answer, error
         robot = RosserialRobot([path])
         robot.connect()
         robot.arm()
+        robot._heard_s = [time.monotonic() + 60] * 2
         robot.command(FORWARD, True)
+        robot._heard_s = [time.monotonic()] * 2
         halts = 2 if error is DeviceTimeoutError else 1  # silence lasts until the watchdog stops the robot, too
-        board.steps += [(HALT, b"")] * halts + [(HALT + STOP_SENDING, b"")]
+        board.steps += [*[(HALT, b"")] * halts, (HALT + STOP_SENDING, b"")]
         with does_not_hang(), pytest.raises(error, match=message):
             while True:
                 robot.read()
@@ -161,24 +164,26 @@ def test_a_fault_in_mid_drive_stops_the_motors_within_the_deadline(answer, error
         robot.disconnect()
 
 
-def test_a_board_without_the_topics_is_refused_with_their_names():
-    other = encode(Packet(0, TopicInfo(100, "/chatter", "std_msgs/String", "x" * 32).pack()))
+def test_a_board_without_the_topics_is_refused_with_their_names(monkeypatch):
+    monkeypatch.setattr("ursnav_torch.devices.robots.rosserial.ANNOUNCE_S", 0.3)
+    other = pack_packet(Packet(0, TopicInfo(100, "/chatter", "std_msgs/String", "x" * 32).pack()))
     with dialogue([(REQUEST_TOPICS, other)]) as (path, _, _):
         with pytest.raises(DeviceTimeoutError, match=r"bend_position.*announced \['/chatter'\]"):
-            RosserialRobot([path], deadline_s=0.3).connect()
+            RosserialRobot([path]).connect()
 
 
 def test_a_topic_of_another_type_is_refused():
-    other = encode(Packet(1, TopicInfo(100, LIGHT, "std_msgs/Float32", "y" * 32).pack()))
+    other = pack_packet(Packet(1, TopicInfo(100, LIGHT, "std_msgs/Float32", "y" * 32).pack()))
     with dialogue([(REQUEST_TOPICS, other)]) as (path, _, _):
         with pytest.raises(DeviceProtocolError, match="expected std_msgs/UInt8"):
             RosserialLight(path).connect()
 
 
-def test_a_board_that_never_answers_fails_within_the_deadline(board):
+def test_a_board_that_never_answers_fails_within_the_deadline(board, monkeypatch):
+    monkeypatch.setattr("ursnav_torch.devices.robots.rosserial.ANNOUNCE_S", 0.5)
     board.answering = False
     with does_not_hang(), pytest.raises(DeviceTimeoutError, match="right sketch"):
-        RosserialRobot([board.port.path], deadline_s=0.5).connect()
+        RosserialRobot([board.port.path]).connect()
 
 
 def test_unplugging_is_told_apart_from_silence(board, robot):
@@ -201,7 +206,7 @@ def test_the_robot_goes_where_it_was_sent_and_two_boards_do_as_well_as_one(board
                 robot.command(JointRates(0.2, 0.0, 4.0), True)
                 time.sleep(0.02)
             robot.stop()
-            time.sleep(0.1)
+            time.sleep(0.3)
             steps = np.rint([*board.steps()[:2], other.steps()[2]])
             np.testing.assert_allclose(robot.drive.steps(robot.read().joints), steps, atol=1)
             assert steps[0] > 60 and steps[2] > 400
@@ -222,19 +227,6 @@ def test_stop_needs_acknowledgment_and_a_restarted_board_is_taken_up_again(board
     robot.acknowledge()
     assert robot.arm()
     assert not robot.command(FORWARD, True).sent.is_zero
-
-
-def test_a_board_that_lost_its_power_goes_on_from_where_the_motors_stand(board, robot):
-    robot.arm()
-    robot.command(FORWARD, True)
-    time.sleep(0.3)
-    before = robot.read().joints
-    board.restart()
-    time.sleep(0.1)
-    robot.emergency_stop("power cut")
-    robot.acknowledge()
-    assert before.insertion_mm > 0.4
-    assert robot.read().joints == before
 
 
 def test_the_light_of_an_arduino_of_its_own(board):

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from dialogue import wait_until
 from hypothesis import given
@@ -52,6 +53,17 @@ def test_a_slider_beyond_its_end_may_only_come_back():
     assert clamp_rates(JointRates(insertion_mm_s=-3), beyond, LIMITS, H).insertion_mm_s == -3
 
 
+@given(rates, inside, st.builds(Joints, st.floats(0, 0.3), st.floats(0, 0.3), st.floats(0, 5)), st.floats(-1, 1))
+def test_wherever_within_its_slack_the_robot_stands_limits_are_kept_or_approached(wanted, joints, slack, share):
+    sent = clamp_rates(wanted, joints, LIMITS, H, slack)
+    true = joints.insertion_mm + share * slack.insertion_mm
+    end = true + sent.insertion_mm_s * H
+    assert min(true, 0.0) - 1e-9 <= end <= max(true, LIMITS.max_insertion_mm) + 1e-9
+    bend = math.hypot(joints.bend_x_rad + sent.bend_x_rad_s * H, joints.bend_y_rad + sent.bend_y_rad_s * H)
+    room = LIMITS.max_bend_rad - math.hypot(slack.bend_x_rad, slack.bend_y_rad)
+    assert bend <= max(room, math.hypot(joints.bend_x_rad, joints.bend_y_rad)) + 1e-9
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_none_move_nothing(bad):
     assert clamp_rates(JointRates(bad, bad, bad), Joints(0.1, 0.1, 5.0), LIMITS, H).is_zero
@@ -60,7 +72,7 @@ def test_numbers_that_are_none_move_nothing(bad):
 def test_impossible_limits_and_times_are_refused():
     with pytest.raises(InputError, match="max_bend_rad must be positive"):
         Limits(max_bend_rad=0)
-    with pytest.raises(InputError, match=r"between 0 and 0\.5"):
+    with pytest.raises(InputError, match=r"between 0 and 0\.15"):
         GrblRobot("x", horizon_s=0.5)
     with pytest.raises(InputError, match="watchdog_s"):
         GrblRobot("x", watchdog_s=0.6)
@@ -85,13 +97,19 @@ class ToyRobot(Robot):
     """The smallest robot: remembers what it was told."""
 
     def __init__(self, **settings):
-        super().__init__(LIMITS, 0.1, 0.2)
+        super().__init__(LIMITS, 0.1, 0.2, 0.01)
         self.told, self.failing = [], False
 
     def _open(self): ...
     def _close(self): ...
     def set_light(self, level):
         return level
+
+    def _joints_of(self, axes):
+        return Joints(*axes)
+
+    def _axes_of(self, joints):
+        return np.array([joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm])
 
     def _joints_ahead(self):
         return Joints(insertion_mm=50.0)
@@ -111,8 +129,11 @@ class ToyRobot(Robot):
     def _recover(self):
         self.told.append("recover")
 
-    def _read_joints(self, timeout_s):
-        return Joints(), False
+    def _recount(self, axes):
+        self.told.append("recount")
+
+    def _read_axes(self, timeout_s):
+        return False
 
 
 def test_every_robot_obeys_gate_watchdog_and_faults():
@@ -139,6 +160,12 @@ def test_every_robot_obeys_gate_watchdog_and_faults():
         assert robot.command(forward, True).reason == "stopped: DeviceTimeoutError: silent"
         robot.acknowledge()
         assert robot.told[-1] == "recover"
+        robot.place.lose("the board was reset")
+        assert not robot.arm() and "the board was reset" in robot.why_not_armed
+        robot.acknowledge()
+        assert not robot.arm()  # only a word on where it stands helps
+        robot.confirm_place()
+        assert robot.told[-1] == "recount" and robot.arm()
         robot.stop()
         robot.stop()
     robot.stop()

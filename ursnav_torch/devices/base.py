@@ -102,12 +102,16 @@ class JointRates:
 
 @dataclass(frozen=True, slots=True)
 class RobotSample:
-    """The robot's own report; ``state`` is ``disarmed``, ``armed`` or ``stopped`` (to be acknowledged)."""
+    """The robot's own report; ``state`` is ``disarmed``, ``armed`` or ``stopped`` (to be acknowledged).
+
+    Where ``place_known`` is false its controller was reset, and ``joints`` are the last that were certain.
+    """
 
     stamp: Stamp
     joints: Joints
     moving: bool
     state: str
+    place_known: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,6 +43,13 @@ class SerialLink:
         """Close the port; closing twice does nothing."""
         self._serial.close()
 
+    def fileno(self) -> int | None:
+        """The port's file descriptor, None where the URL is of no real port."""
+        try:
+            return int(self._serial.fileno())
+        except (OSError, AttributeError, serial.SerialException):
+            return None
+
     def write(self, data: bytes) -> None:
         """Send ``data`` in one piece; threads do not mix theirs.
 

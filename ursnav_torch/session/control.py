@@ -1,5 +1,6 @@
 """The cycle that turns the operator's hands into motion and light."""
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,9 @@ from ursnav_torch.devices.base import (
 from ursnav_torch.devices.robots.robot import Robot
 from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import DeviceError
+
+#: A second acknowledgment this soon after the first is a trembling thumb, no word on where the robot stands.
+CONFIRM_AFTER_S = 1.0
 
 
 class Control:
@@ -37,6 +41,7 @@ class Control:
         self._last: OperatorInput | None = None
         self._note = Stamper()
         self._cycle = 0
+        self._acknowledged_s = 0.0
 
     def step(self) -> list[OperatorInput | CommandSample | LightSample | RobotSample | Note]:
         """Read the operator's hands once and act; every fifth time also ask the robot where it stands.
@@ -74,8 +79,8 @@ class Control:
             self.robot.emergency_stop("operator")
         elif hands.acknowledge:
             events += self._acknowledge(self.robot)
-        elif hands.arm:
-            self.robot.arm()
+        elif hands.arm and not self.robot.arm():
+            events.append(Note(self._note(), "warning", self.robot.why_not_armed))
         bend, push = self.robot.limits.max_bend_rate_rad_s, self.robot.limits.max_insertion_rate_mm_s
         wanted = JointRates(hands.bend_x * bend, hands.bend_y * bend, hands.insertion * push)
         events.append(self.robot.command(wanted, hands.dead_man))
@@ -84,12 +89,21 @@ class Control:
         return events
 
     def _acknowledge(self, robot: Robot) -> list[Any]:
-        """End a stop; the light, which a controller puts out with the motors, comes back as it was."""
-        stopped = robot.gate.state == STOPPED
+        """End a stop; where the robot's place was lost, the next acknowledgment confirms the last certain one.
+
+        The light, which a controller puts out with the motors, comes back as it was.
+        """
+        now = time.monotonic()
+        if robot.gate.state != STOPPED:
+            if robot.place.is_known or now - self._acknowledged_s < CONFIRM_AFTER_S:
+                return []
+            robot.confirm_place()
+            return [Note(self._note(), "info", "The robot's place was confirmed by the operator.")]
         robot.acknowledge()
-        if self.light is None or not stopped or robot.gate.state == STOPPED:
-            return []
-        return [self.light.set_level(self._level)]
+        self._acknowledged_s = now
+        lit = [] if self.light is None else [self.light.set_level(self._level)]
+        lost = [] if robot.place.is_known else [Note(self._note(), "warning", robot.why_not_armed)]
+        return [*lit, *lost]
 
     def _light(self, hands: OperatorInput) -> list[Any]:
         if self.light is None or (hands.light_step == 0 and self._cycle > 1):

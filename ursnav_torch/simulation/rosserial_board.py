@@ -19,8 +19,8 @@ from ursnav_torch.devices.robots.rosserial_packets import (
     Decoder,
     Packet,
     TopicInfo,
-    encode,
     pack_ints,
+    pack_packet,
     unpack_ints,
 )
 from ursnav_torch.errors import DeviceProtocolError
@@ -126,7 +126,7 @@ class RosserialBoard:
     def _announce(self) -> bytes:
         self._announced = True
         infos = [(kind, TopicInfo(self._numbers[name], name, *message)) for kind, name, message in TOPICS]
-        return b"".join(encode(Packet(kind, info.pack())) for kind, info in infos)
+        return b"".join(pack_packet(Packet(kind, info.pack())) for kind, info in infos)
 
     def _report(self) -> bytes:
         if not self._announced:
@@ -134,7 +134,7 @@ class RosserialBoard:
         answer = b""
         if self._now - self._sync_s >= TIME_SYNC_S:
             self._sync_s = self._now
-            answer += encode(Packet(TIME, struct.pack("<II", 0, 0)))
+            answer += pack_packet(Packet(TIME, struct.pack("<II", 0, 0)))
         if self._now - self._report_s >= REPORT_S:
             self._report_s = self._now
             x, y, z = np.rint(self._steps).astype(int).tolist()
@@ -144,4 +144,4 @@ class RosserialBoard:
         return answer
 
     def _message(self, name: str, values: list[int]) -> bytes:
-        return encode(Packet(self._numbers[name], pack_ints(values)))
+        return pack_packet(Packet(self._numbers[name], pack_ints(values)))

@@ -16,11 +16,16 @@ from ursnav_torch.devices.robots.kinematics import Drive
 from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
 from ursnav_torch.devices.robots.safety import STOPPED, Limits
 from ursnav_torch.devices.serial_link import SerialLink
+from ursnav_torch.devices.wire import FARTHEST_MM, number
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import Array
 
 SOFT_RESET, STATUS, JOG_CANCEL = b"\x18", b"?", b"\x85"
 SHORTEST_JOG_S = 0.01
+#: While it is driven, the board is asked this often where it stands.
+REPORT_S = 0.2
+#: A board greets within the first after a reset; a greeting later than the second is of a reset that nobody asked for.
+SETTLE_S, GREETED_S = 0.1, 1.0
 ERRORS = {
     "2": "bad number format",
     "8": "not idle",
@@ -32,8 +37,17 @@ ERRORS = {
     "22": "feed rate missing",
 }
 ALARMS = {"1": "hard limit hit", "2": "target beyond travel", "3": "reset while moving, position may be lost"}
-REPORT = re.compile(r"<(\w+)(?::\d+)?\|MPos:(-?[\d.]+),(-?[\d.]+),(-?[\d.]+)(?:\|[^<>]*)?>")
-SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
+#: State and machine position; boards with more than three axes tell those of all.
+REPORT = re.compile(r"<(\w+)(?::\d+)?\|MPos:([-+.,\w ]+)(?:\|[^<>]*)?>")
+#: Some boards explain a setting in brackets.
+SETTING = re.compile(r"\$(\d+)=([-+.\w]+)\s*(?:\(.*\))?")
+#: What must be told: inches, largest spindle speed, laser mode, speeds and accelerations of the three axes.
+NEEDED = {13, 30, 32, 110, 111, 112, 120, 121, 122}
+#: Greetings of GRBL, grblHAL and grbl-Mega-5X (1.2), wherever in the line; FluidNC counts its own versions.
+GREETING = re.compile(r"Grbl(?:HAL)? (\d+\.\d+)", re.IGNORECASE)
+JOGGING, FLUIDNC = ("1.1", "1.2"), "[FluidNC"
+#: GRBL reports thousandths of a mm and rounds to its own steps.
+ROUNDING_MM = 0.005
 
 
 class GrblRobot(Robot):
@@ -62,13 +76,14 @@ class GrblRobot(Robot):
         deadline_s: float = 0.4,
         boot_s: float = 3.0,
     ) -> None:
-        super().__init__(limits or Limits(), horizon_s, watchdog_s)
+        super().__init__(limits or Limits(), horizon_s, watchdog_s, ROUNDING_MM)
         self.port, self.drive, self.deadline_s, self.boot_s = port, drive or Drive(), deadline_s, boot_s
         self._link: SerialLink | None = None
         self._settings: dict[int, float] = {}
         self._offset_mm = np.zeros(3)
         self._axes_mm: Array | None = None  # where all that was sent will end; None: ask the board first
-        self._last_axes_mm = np.zeros(3)
+        self._reported_s = -math.inf  # when the board last said where it stands
+        self._reset_s = -math.inf  # when the board was last reset by hand
         self._busy_until_s = 0.0
         self._velocity = np.zeros(3)
         self._rates = JointRates()
@@ -82,7 +97,7 @@ class GrblRobot(Robot):
             self._level = speed / self._settings[30]
             if self.gate.state != STOPPED:
                 self._halt()
-                self._settle()
+                self._come_to_rest()
                 self._ask(f"M3S{speed}" if speed else "M5")
         return self._level
 
@@ -92,17 +107,35 @@ class GrblRobot(Robot):
         self._settings = self._read_settings()
         self._check_settings()
         state, axes = self._status(self.deadline_s)
-        self._offset_mm, self._axes_mm, self._last_axes_mm = axes, np.zeros(3), np.zeros(3)
+        self._offset_mm, self._axes_mm = axes, np.zeros(3)
+        self.place.set(self._axes_mm)
         if state == "Alarm":
             self.gate.emergency_stop("the controller woke up in alarm")
 
     def _close(self) -> None:
+        self._dismiss_guardian()
         if self._link:
             self._link.close()
             self._link = None
 
+    def _stops(self) -> dict[int, bytes]:
+        fd = self._link_or_fail().fileno()
+        return {} if fd is None else {fd: JOG_CANCEL}
+
+    def _joints_of(self, axes: Array) -> Joints:
+        return self.drive.joints(axes)
+
+    def _axes_of(self, joints: Joints) -> Array:
+        return self.drive.axes_mm(joints)
+
     def _joints_ahead(self) -> Joints:
-        return self.drive.joints(self._settle() if self._axes_mm is None else self._axes_mm)
+        if self._axes_mm is None:
+            return self.drive.joints(self._settle())
+        if time.monotonic() - self._reported_s > REPORT_S:  # a reset that went by unnoticed must not do so for long
+            self._read_axes(self.deadline_s)
+            if not self.place.is_known:
+                raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
+        return self.drive.joints(self._axes_mm)
 
     def _send(self, rates: JointRates) -> JointRates:
         now = time.monotonic()
@@ -118,8 +151,10 @@ class GrblRobot(Robot):
         if not step.any() or feed <= 0:
             return JointRates()
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
+        end = (self.place.axes if self._axes_mm is None else self._axes_mm) + step
+        self.place.sent(end)
         self._ask(f"$J=G21G91{words}F{feed:.2f}")
-        self._axes_mm = None if self._axes_mm is None else self._axes_mm + step
+        self._axes_mm = None if self._axes_mm is None else end
         self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
         joints = self.drive.joints(step / duration)
         self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
@@ -140,52 +175,85 @@ class GrblRobot(Robot):
     def _kill(self) -> None:
         self._axes_mm = None
         self._busy_until_s = 0.0
-        self._write(SOFT_RESET)
+        self._write_reset()
 
     def _recover(self) -> None:
         try:
             self._reset()
-        except DeviceNotConnectedError:  # plugged in again, perhaps
+        except DeviceNotConnectedError:  # plugged in again, perhaps; who knows what happened meanwhile
             self._close()
             self._link = SerialLink(self.port, 115200)
             self._reset()
+            self.place.lose("the board was unplugged")
         state, axes = self._status(self.deadline_s)
         if state == "Alarm":
             self._ask("$X")
             state, axes = self._status(self.deadline_s)
-        if np.linalg.norm(axes) < 1e-3:  # after a power cut the board counts from zero again, from where it stands
-            self._offset_mm = axes - self._last_axes_mm
-        self._axes_mm = axes - self._offset_mm
+        at = axes - self._offset_mm
+        if not axes.any() and (at != self.place.axes).any():  # zero is also what a board counts after a power cut
+            self.place.lose("the controller counts from zero; it was reset")
+        self._axes_mm = at if self.place.report(at, at) else None
         if self._level:
             self._ask(f"M3S{round(self._level * self._settings[30])}")
 
-    def _read_joints(self, timeout_s: float) -> tuple[Joints, bool]:
+    def _recount(self, axes: Array) -> None:
+        self._offset_mm = self._status(self.deadline_s)[1] - axes
+        self._axes_mm = axes
+
+    def _read_axes(self, timeout_s: float) -> bool:
         state, axes = self._status(timeout_s)
         if state == "Alarm" and self.gate.state != STOPPED:
             raise DeviceProtocolError(f"{self.port}: GRBL is in alarm; look for the cause, then acknowledge.")
-        self._last_axes_mm = axes - self._offset_mm
-        return self.drive.joints(self._last_axes_mm), state == "Jog"
+        at, moving = axes - self._offset_mm, state != "Idle"
+        if moving and self._axes_mm is None:
+            self.place.check(at)
+        else:
+            self.place.report(at, self._axes_mm if moving and self._axes_mm is not None else at)
+        return moving
 
     def _settle(self) -> Array:
-        """Wait until the board stands still after a halt; its position (3,) is the new starting point."""
+        """Where the board came to rest after a halt, (3,): the new starting point.
+
+        Raises:
+            DeviceProtocolError: it does not come to rest, or the place is lost.
+        """
+        at = self._come_to_rest() - self._offset_mm
+        if not self.place.report(at, at):
+            raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
+        self._axes_mm = at
+        return at
+
+    def _come_to_rest(self) -> Array:
+        """Wait until the board stands still; its machine position (3,)."""
         deadline = time.monotonic() + MAX_QUEUED_S
         while True:
             state, axes = self._status(self.deadline_s)
             if state == "Idle":
-                self._axes_mm = self._last_axes_mm = axes - self._offset_mm
-                return self._last_axes_mm
+                return axes
             if state == "Alarm" or time.monotonic() > deadline:
                 raise DeviceProtocolError(f"{self.port}: GRBL does not come to rest but is in state {state}.")
             time.sleep(0.005)
 
     def _reset(self) -> None:
+        """Reset the board by hand and wait for its greeting.
+
+        Raises:
+            DeviceTimeoutError: it does not greet; the message tells what came instead.
+            DeviceProtocolError: it is a board that cannot jog.
+        """
+        time.sleep(max(0.0, self._reset_s + SETTLE_S - time.monotonic()))  # an earlier reset's greeting must be in
         self._link_or_fail().discard_input()
-        self._write(SOFT_RESET)
-        deadline = time.monotonic() + self.boot_s
-        while not (line := self._line(deadline)).startswith("Grbl "):
-            pass
-        if not line.startswith("Grbl 1.1"):
-            raise DeviceProtocolError(f"{self.port} greets with {line!r}; GRBL 1.1 is needed for jogging.")
+        self._write_reset()
+        deadline, heard = time.monotonic() + self.boot_s, list[str]()
+        while not (greeting := GREETING.search(heard[-1] if heard else "")):
+            try:
+                heard = [*heard[-4:], self._line(deadline)]
+            except DeviceTimeoutError as error:
+                came = f"it sent {heard}, but no greeting of GRBL's" if heard else "is the board switched on?"
+                raise DeviceTimeoutError(f"{self.port}: no answer to a reset in {self.boot_s} s; {came}.") from error
+        self._reset_s = -math.inf
+        if not (FLUIDNC in heard[-1] or greeting[1] in JOGGING):
+            raise DeviceProtocolError(f"{self.port} greets with {heard[-1]!r}; GRBL 1.1 is needed for jogging.")
         self._axes_mm, self._busy_until_s = None, 0.0
 
     def _read_settings(self) -> dict[int, float]:
@@ -193,11 +261,13 @@ class GrblRobot(Robot):
         self._write(b"$$\n")
         deadline = time.monotonic() + 1.0
         while (line := self._checked_line(deadline)) != "ok":
-            if found := SETTING.fullmatch(line):
-                settings[int(found[1])] = float(found[2])
-        missing = {13, 30, 32, 110, 111, 112, 120, 121, 122} - settings.keys()
-        if missing:
+            if (found := SETTING.fullmatch(line)) and int(found[1]) in NEEDED:
+                settings[int(found[1])] = number(found[2], f"{self.port}: GRBL's setting ${found[1]}", 0.0, 1e9)
+        if missing := NEEDED - settings.keys():
             raise DeviceProtocolError(f"{self.port}: GRBL did not tell its settings {sorted(missing)}.")
+        for n in NEEDED - {13, 32}:
+            if settings[n] <= 0:
+                raise InputError(f"GRBL's setting ${n} must be positive, got {settings[n]:g}; see its list.")
         return settings
 
     def _check_settings(self) -> None:
@@ -227,9 +297,12 @@ class GrblRobot(Robot):
         while not (line := self._checked_line(deadline)).startswith("<"):
             pass
         found = REPORT.fullmatch(line)
-        if not found:
+        words = found[2].split(",") if found else []
+        if not found or len(words) < 3:
             raise DeviceProtocolError(f"{self.port}: unreadable status {line!r}; GRBL needs $10=1 (MPos).")
-        return found[1], np.array([float(found[n]) for n in (2, 3, 4)])
+        self._reported_s = time.monotonic()
+        what = f"{self.port}: a position in {line!r}"
+        return found[1], np.array([number(word, what, -FARTHEST_MM, FARTHEST_MM) for word in words[:3]])
 
     def _ask(self, command: str) -> None:
         """Send a line and wait for its ``ok``."""
@@ -246,14 +319,17 @@ class GrblRobot(Robot):
         """The next line, unless it is an error, an alarm or a greeting that nobody asked for."""
         line = self._line(deadline)
         kind, _, code = line.partition(":")
-        if self.gate.state == STOPPED and (kind == "ALARM" or line.startswith("Grbl ")):
-            return f"[{line}]"  # the answer to our own reset
+        if GREETING.search(line):
+            if time.monotonic() - self._reset_s < GREETED_S:  # the answer to our own reset
+                return f"[{line}]"
+            self.place.lose("the controller was reset")
+            raise DeviceProtocolError(f"{self.port}: the controller was reset in mid-session; check its power.")
+        if self.gate.state == STOPPED and kind == "ALARM":
+            return f"[{line}]"
         if kind == "error":
             raise DeviceProtocolError(f"{self.port}: GRBL error {code}: {ERRORS.get(code, 'see its list')}.")
         if kind == "ALARM":
             raise DeviceProtocolError(f"{self.port}: GRBL alarm {code}: {ALARMS.get(code, 'see its list')}.")
-        if line.startswith("Grbl "):
-            raise DeviceProtocolError(f"{self.port}: the controller was reset in mid-command; check its power.")
         return line
 
     def _line(self, deadline: float) -> str:
@@ -265,6 +341,10 @@ class GrblRobot(Robot):
             text = self._link_or_fail().read_until(b"\n", remaining).decode("ascii", "replace").strip()
             if text:
                 return text
+
+    def _write_reset(self) -> None:
+        self._reset_s = time.monotonic()
+        self._write(SOFT_RESET)
 
     def _write(self, data: bytes) -> None:
         self._link_or_fail().write(data)

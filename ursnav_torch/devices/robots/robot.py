@@ -1,58 +1,81 @@
-"""The robot's contract and what every robot has in common: gate, limits, watchdog, stop on any fault."""
+"""The robot's contract and what every robot has in common: gate, limits, watchdogs, stop on any fault, lost places."""
 
+import atexit
 import contextlib
+import logging
 import threading
 from abc import abstractmethod
 from collections.abc import Callable
 
 from ursnav_torch.devices.base import CommandSample, Device, JointRates, Joints, RobotSample, Stamper
+from ursnav_torch.devices.robots.guardian import Guardian
+from ursnav_torch.devices.robots.place import Place
 from ursnav_torch.devices.robots.safety import ARMED, STOPPED, Limits, SafetyGate, clamp_rates
 from ursnav_torch.errors import DeviceError, InputError
+from ursnav_torch.geometry import Array
 
+logger = logging.getLogger(__name__)
 #: No controller is ever given motion for longer than this, so that a dead host means a still robot.
 MAX_QUEUED_S = 0.5
+#: A controller that falls silent moves on for no longer than this: 1.2 mm at the slider's cap of 8 mm/s.
+BLIND_S = 0.15
 
 
 class Robot(Device):
     """A robot driven by rates, each command good for ``horizon_s`` at most.
 
     It starts disarmed. Every fault of the link, an alarm of the controller and `emergency_stop` stop it until
-    `acknowledge` and `arm`. If it is armed and not commanded for ``watchdog_s``, it is stopped and disarmed.
+    `acknowledge` and `arm`. If it is armed and not commanded for ``watchdog_s``, it is stopped and disarmed, by a
+    thread and, should the interpreter be frozen, by a process of its own.
+
+    A controller that was reset counts from zero wherever it stands: the place is then lost, `read` gives the last
+    certain one, and nothing can be armed until `confirm_place` or `set_place`. Limits hold for the true place.
+
+    Args:
+        tolerance: how far (3,) the controller's reports may lie outside of what was sent, in its own unit.
 
     Raises:
-        InputError: ``horizon_s`` is not between 0 and 0.5, or ``watchdog_s`` not above it.
+        InputError: ``horizon_s`` is not between 0 and 0.15, or ``watchdog_s`` not above it up to 0.5.
     """
 
-    def __init__(self, limits: Limits, horizon_s: float, watchdog_s: float) -> None:
+    def __init__(self, limits: Limits, horizon_s: float, watchdog_s: float, tolerance: float | Array) -> None:
         super().__init__()
-        if not 0 < horizon_s < MAX_QUEUED_S:
-            raise InputError(f"horizon_s must lie between 0 and {MAX_QUEUED_S} s, got {horizon_s}.")
+        if not 0 < horizon_s <= BLIND_S:
+            raise InputError(f"horizon_s must lie between 0 and {BLIND_S} s, got {horizon_s}.")
         if not horizon_s < watchdog_s <= MAX_QUEUED_S:
             raise InputError(f"watchdog_s must lie between horizon_s and {MAX_QUEUED_S} s, got {watchdog_s}.")
         self.limits, self.horizon_s, self.watchdog_s = limits, horizon_s, watchdog_s
-        self.gate = SafetyGate()
+        self.gate, self.place = SafetyGate(), Place(tolerance)
         self._command_stamp = Stamper()
         self._lock = threading.RLock()
         self._still = True
         self._watch_end = threading.Event()
+        self._guardian: Guardian | None = None
 
     def connect(self) -> None:
         """Open the link and start the watchdog; raises as `Device.connect` does."""
         if self._connected:
             return
         super().connect()
+        atexit.register(self.disconnect)
         self._watch_end.clear()
         threading.Thread(target=self._watch, name="robot-watchdog", daemon=True).start()
 
     def disconnect(self) -> None:
-        """Stop, disarm and close."""
+        """Stop, disarm and close; also done when the interpreter exits."""
         self._watch_end.set()
         self.gate.disarm("disconnected")
         super().disconnect()
+        self._dismiss_guardian()
+        atexit.unregister(self.disconnect)
 
     def arm(self) -> bool:
-        """Allow motion; False after a stop that was not acknowledged."""
+        """Allow motion; False after a stop that was not acknowledged, and while the place is lost."""
         self._check_connected()
+        if not self.place.is_known:
+            return False
+        if self._guardian is None and (stops := self._stops()):
+            self._guardian = Guardian(stops, self.watchdog_s)
         return self.gate.arm()
 
     def disarm(self) -> None:
@@ -80,6 +103,43 @@ class Robot(Device):
             self._recover()
         self.gate.acknowledge()
 
+    def confirm_place(self) -> None:
+        """The operator confirms that a robot whose place was lost stands where it was last certain.
+
+        Raises:
+            DeviceError: the controller cannot be asked.
+        """
+        self._check_connected()
+        if not self.place.is_known:
+            with self._lock:
+                self._recount(self.place.axes)
+                self.place.confirm()
+
+    def set_place(self, joints: Joints) -> None:
+        """The operator says where the robot stands, for example straight and withdrawn after homing by hand.
+
+        Raises:
+            DeviceError: the controller cannot be asked.
+        """
+        self._check_connected()
+        with self._lock:
+            self._recount(self._axes_of(joints))
+            self.place.set(self._axes_of(joints))
+
+    @property
+    def why_not_armed(self) -> str:
+        """Why `arm` was refused, and what to do about it."""
+        if self.gate.state == STOPPED:
+            return f"The robot is stopped ({self.gate.reason}); acknowledge the stop first."
+        if self.place.is_known:
+            return ""
+        at = self._joints_of(self.place.axes)
+        return (
+            f"The robot's place is unknown: {self.place.why_lost}. It was last certain {at.insertion_mm:.1f} mm in, "
+            f"bent by {at.bend_x_rad:.2f} and {at.bend_y_rad:.2f} rad; if it still stands there, acknowledge once "
+            "more, else withdraw it by hand and connect again."
+        )
+
     def stop(self) -> None:
         """End all motion gently; arms nothing and disarms nothing."""
         self._still = True
@@ -101,6 +161,8 @@ class Robot(Device):
         """
         self._check_connected()
         refusal = self.gate.refusal(dead_man)
+        if self._guardian is not None:
+            self._guardian.feed(self.gate.state == ARMED)
         sent = JointRates()
         if refusal or wanted.is_zero:
             if not self._still:
@@ -109,12 +171,13 @@ class Robot(Device):
             return CommandSample(self._command_stamp(), wanted, sent, reason)
         try:
             with self._lock:
-                allowed = clamp_rates(wanted, self._joints_ahead(), self.limits, self.horizon_s)
+                slack = self._joints_of(self.place.slack)
+                allowed = clamp_rates(wanted, self._joints_ahead(), self.limits, self.horizon_s, slack)
                 if self.gate.state == ARMED and not allowed.is_zero:
                     self._still = False
                     sent = self._send(allowed)
-        except DeviceError as error:
-            if self.gate.state == STOPPED:  # stopped by another thread while the command was under way
+        except Exception as error:  # whatever it was, nothing may move on
+            if isinstance(error, DeviceError) and self.gate.state == STOPPED:  # stopped by another thread meanwhile
                 return CommandSample(self._command_stamp(), wanted, sent, f"stopped: {self.gate.reason}")
             self.emergency_stop(f"{type(error).__name__}: {error}")
             raise
@@ -123,23 +186,34 @@ class Robot(Device):
         return CommandSample(self._command_stamp(), wanted, sent, "" if allowed == wanted else "limit")
 
     def read(self, timeout_s: float = 0.5) -> RobotSample:
-        """Ask the controller where it stands.
+        """Ask the controller where it stands; while the place is lost, say where it was last certain.
 
         Raises:
-            DeviceError: the link or the controller failed; the robot was stopped as well as it can be.
+            DeviceError: the link or the controller failed, or was reset; the robot was stopped as well as it can be.
         """
         self._check_connected()
         try:
             with self._lock:
-                joints, moving = self._read_joints(timeout_s)
-        except DeviceError as error:
+                moving = self._read_axes(timeout_s)
+                joints = self._joints_of(self.place.axes)
+        except Exception as error:
             self.emergency_stop(f"{type(error).__name__}: {error}")
             raise
-        return RobotSample(self._stamp(), joints, moving, self.gate.state)
+        if not self.place.is_known and self.gate.state != STOPPED:
+            self.emergency_stop(self.place.why_lost)
+        return RobotSample(self._stamp(), joints, moving, self.gate.state, self.place.is_known)
 
     @abstractmethod
     def set_light(self, level: float) -> float:
         """Dim the LED on the controller's own output to 0..1; returns the level sent."""
+
+    @abstractmethod
+    def _joints_of(self, axes: Array) -> Joints:
+        """Joints of axes (3,) in the controller's unit, or of their slack."""
+
+    @abstractmethod
+    def _axes_of(self, joints: Joints) -> Array:
+        """The inverse of `_joints_of`."""
 
     @abstractmethod
     def _joints_ahead(self) -> Joints:
@@ -159,10 +233,25 @@ class Robot(Device):
 
     @abstractmethod
     def _recover(self) -> None:
-        """Make the controller ready again after `_kill` or an alarm."""
+        """Make the controller ready again after `_kill` or an alarm; lose the place where it may have been reset."""
 
     @abstractmethod
-    def _read_joints(self, timeout_s: float) -> tuple[Joints, bool]: ...
+    def _recount(self, axes: Array) -> None:
+        """From now on the controller's present counts mean axes (3,)."""
+
+    @abstractmethod
+    def _read_axes(self, timeout_s: float) -> bool:
+        """Take the controller's report to `place`; returns whether it moves."""
+
+    def _stops(self) -> dict[int, bytes]:
+        """File descriptors of the ports and what stops the robot there; empty where there are none to share."""
+        return {}
+
+    def _dismiss_guardian(self) -> None:
+        """End the second watchdog: its ports are closed, or others are opened."""
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.close()
 
     def _quietly(self, action: Callable[[], None]) -> None:
         """A link that is gone cannot be told to stop: the controller then runs out of queued motion."""

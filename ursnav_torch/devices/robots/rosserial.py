@@ -1,7 +1,7 @@
 """The thesis's own controllers: Arduinos under rosserial that turn the motors by steps.
 
-Each message orders steps *and* the milliseconds to make them in, replaces the one before and is never good
-for more than half a second, so that the robot stands still when the host falls silent.
+Each message orders steps *and* the milliseconds to make them in and replaces the one before. It never ends later than
+0.15 s after the boards' newest report, so that the robot stands still when host or board falls silent.
 """
 
 import time
@@ -10,16 +10,39 @@ import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints, Light, LightSample
 from ursnav_torch.devices.robots.kinematics import Drive
-from ursnav_torch.devices.robots.robot import Robot
-from ursnav_torch.devices.robots.rosserial_packets import INT32S, UINT8, RosserialLink, pack_ints, unpack_ints
+from ursnav_torch.devices.robots.robot import BLIND_S, Robot
+from ursnav_torch.devices.robots.rosserial_packets import (
+    INT32S,
+    UINT8,
+    BoardResetError,
+    RosserialLink,
+    pack_ints,
+    unpack_ints,
+)
 from ursnav_torch.devices.robots.safety import Limits
-from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import (
+    DeviceError,
+    DeviceNotConnectedError,
+    DeviceProtocolError,
+    DeviceTimeoutError,
+    InputError,
+)
+from ursnav_torch.geometry import Array
 
 #: Subscribed by the boards: steps x, y, ms / steps z, ms / LED level 0..255.
 BEND, SLIDER, LIGHT = "/ureteroscope/bend_steps", "/ureteroscope/slider_steps", "/ureteroscope/light"
 #: Published by the boards: position x, y in steps, 1 while moving / position z, 1 while moving.
-BEND_POSITION, SLIDER_POSITION = "/ureteroscope/bend_position", "/ureteroscope/slider_position"
-SILENCE_S = 0.5
+POSITIONS = BEND_POSITION, SLIDER_POSITION = "/ureteroscope/bend_position", "/ureteroscope/slider_position"
+#: How long a board may take to announce its topics; it restarts when the port is opened.
+ANNOUNCE_S = 5.0
+#: A board reports 20 times a second; one that has not for this long is waited for before anything is sent to it.
+FRESH_S = 0.1
+#: A board that was waited for so long is hung.
+SILENCE_S = 0.3
+#: Serial line and scheduler take this much of the time for which motion may go on blindly.
+LATENCY_S = 0.01
+#: A position may be this many steps off for rounding.
+ROUNDING_STEPS = 2.0
 
 
 class RosserialRobot(Robot):
@@ -30,9 +53,8 @@ class RosserialRobot(Robot):
         drive: cables, drums, slider and steps per mm.
         limits: joint limits and speed caps.
         baud: 57600 unless the sketch says otherwise.
-        horizon_s: how long one order lasts.
+        horizon_s: how long one order lasts; less where the newest report is old, see `BLIND_S`.
         watchdog_s: stop after so long without a command.
-        deadline_s: how long a board may take to announce its topics.
     """
 
     def __init__(
@@ -41,72 +63,112 @@ class RosserialRobot(Robot):
         drive: Drive | None = None,
         limits: Limits | None = None,
         baud: int = 57600,
-        horizon_s: float = 0.15,
+        horizon_s: float = 0.12,
         watchdog_s: float = 0.5,
-        deadline_s: float = 5.0,
     ) -> None:
-        super().__init__(limits or Limits(), horizon_s, watchdog_s)
+        self.drive, limits = drive or Drive(), limits or Limits()
+        self._unreported = _unreported(limits, self.drive)
+        super().__init__(limits, horizon_s, watchdog_s, self._unreported)
         if len(ports) not in (1, 2):
             raise InputError(f"ports must name one or two serial ports (bending, slider), got {ports}.")
-        self.ports, self.drive, self.baud, self.deadline_s = list(ports), drive or Drive(), baud, deadline_s
+        self.ports, self.baud = list(ports), baud
         self._links: list[RosserialLink] = []
-        self._steps = np.zeros(3)
-        self._offset = np.zeros(3)  # steps that a board forgot when it lost its power
+        self._counts = np.zeros(3)  # as the boards report them
+        self._offset = np.zeros(3)  # steps that a board forgot when it was reset
         self._moving = [False, False]
         self._heard_s = [0.0, 0.0]
+        self._at, self._at_s = np.zeros(3), 0.0  # where the motors are reckoned to be, and when
         self._velocity = np.zeros(3)  # steps/s of the order under way
-        self._ordered_s = 0.0
-        self._level = 0.0
+        self._ends, self._ends_s = np.zeros(3), 0.0  # where and when it ends
 
     def set_light(self, level: float) -> float:
         """Dim the LED on the bending board."""
         self._check_connected()
         value = round(min(max(level, 0.0), 1.0) * 255)
         with self._lock:
-            self._links[0].publish(LIGHT, bytes([value]))
+            self._boards()[0].publish(LIGHT, bytes([value]))
         return value / 255
 
     def _open(self) -> None:
+        self._open_links()
+        self._listen(ANNOUNCE_S)
+        self._offset, self._at = -self._counts, np.zeros(3)
+        self.place.set(np.zeros(3))
+
+    def _open_links(self) -> None:
         bend = {BEND: INT32S, BEND_POSITION: INT32S, LIGHT: UINT8}
         slider = {SLIDER: INT32S, SLIDER_POSITION: INT32S}
         needs = [bend | slider] if len(self.ports) == 1 else [bend, slider]
         for port, needed in zip(self.ports, needs, strict=True):
-            self._links.append(RosserialLink(port, self.baud, needed, self.deadline_s))
-        self._heard_s = [0.0, 0.0]
-        self._listen(SILENCE_S)
+            self._links.append(RosserialLink(port, self.baud, needed, ANNOUNCE_S))
+        self._heard_s, self._ends_s = [0.0, 0.0], 0.0
 
     def _close(self) -> None:
+        self._dismiss_guardian()
         for link in self._links:
             link.close()
         self._links.clear()
 
-    def _joints_ahead(self) -> Joints:
-        self._listen(SILENCE_S)
-        age = min(time.monotonic() - self._ordered_s, self.horizon_s)
-        return self.drive.joints_from_steps(self._steps + self._offset + self._velocity * max(age, 0.0))
-
-    def _send(self, rates: JointRates) -> JointRates:
-        axes = self.drive.axes_mm(Joints(rates.bend_x_rad_s, rates.bend_y_rad_s, rates.insertion_mm_s))
-        steps = np.rint(axes * self.drive.steps_per_mm * self.horizon_s).astype(int)
-        self._order(steps.tolist(), round(1000 * self.horizon_s))
-        self._velocity, self._ordered_s = steps / self.horizon_s, time.monotonic()
-        sent = self.drive.joints_from_steps(self._velocity)
-        return JointRates(sent.bend_x_rad, sent.bend_y_rad, sent.insertion_mm)
-
-    def _order(self, steps: list[int], milliseconds: int) -> None:
+    def _boards(self) -> list[RosserialLink]:
         if not self._links:
             raise DeviceNotConnectedError(f"{self.ports} are not open; plug the boards in, then acknowledge.")
-        self._links[0].publish(BEND, pack_ints([*steps[:2], milliseconds]))
-        self._links[-1].publish(SLIDER, pack_ints([steps[2], milliseconds]))
+        return self._links
+
+    def _stops(self) -> dict[int, bytes]:
+        found: dict[int, bytes] = {}
+        for link, topic, order in self._halts():
+            if (fd := link.fileno()) is not None:
+                found[fd] = found.get(fd, b"") + link.packed(topic, pack_ints(order))
+        return found
+
+    def _halts(self) -> list[tuple[RosserialLink, str, list[int]]]:
+        boards = self._boards()
+        return [(boards[0], BEND, [0, 0, 0]), (boards[-1], SLIDER, [0, 0])]
+
+    def _joints_of(self, axes: Array) -> Joints:
+        return self.drive.joints_from_steps(axes)
+
+    def _axes_of(self, joints: Joints) -> Array:
+        return np.array(self.drive.steps(joints), float)
+
+    def _joints_ahead(self) -> Joints:
+        self._listen()
+        if not self.place.is_known:
+            raise DeviceProtocolError(f"{self.ports}: {self.place.why_lost}.")
+        return self._joints_of(self._reckon())
+
+    def _reckon(self) -> Array:
+        """Where the motors are by now, (3,) steps: reports are up to 0.1 s old, so orders are added up."""
+        now = time.monotonic()
+        self._at = self._at + self._velocity * max(min(now, self._ends_s) - self._at_s, 0.0)
+        self._at_s = now
+        return self._at
+
+    def _send(self, rates: JointRates) -> JointRates:
+        blind_s = min(self._heard_s) + BLIND_S - LATENCY_S - time.monotonic()
+        seconds = round(min(self.horizon_s, blind_s), 3)
+        axes = self.drive.axes_mm(Joints(rates.bend_x_rad_s, rates.bend_y_rad_s, rates.insertion_mm_s))
+        steps = np.trunc(axes * self.drive.steps_per_mm * seconds).astype(int)
+        if seconds <= 0 or not steps.any():
+            return JointRates()
+        self._ends, self._velocity = self._reckon() + steps, steps / seconds
+        self._ends_s = self._at_s + seconds
+        self.place.sent(self._ends)
+        milliseconds = round(1000 * seconds)
+        boards = self._boards()
+        boards[0].publish(BEND, pack_ints([*steps[:2].tolist(), milliseconds]))
+        boards[-1].publish(SLIDER, pack_ints([int(steps[2]), milliseconds]))
+        sent = self.drive.joints_from_steps(steps / seconds)
+        return JointRates(sent.bend_x_rad, sent.bend_y_rad, sent.insertion_mm)
 
     def _halt(self) -> None:
-        self._velocity = np.zeros(3)
+        self._ends_s = min(self._ends_s, time.monotonic())
         if not self._links:
             return
         failure: DeviceError | None = None
-        for link, topic, order in ((0, BEND, [0, 0, 0]), (-1, SLIDER, [0, 0])):
+        for link, topic, order in self._halts():
             try:
-                self._links[link].publish(topic, pack_ints(order))
+                link.publish(topic, pack_ints(order))
             except DeviceError as error:  # one dead board must not keep the other one going
                 failure = error
         if failure:
@@ -116,51 +178,98 @@ class RosserialRobot(Robot):
         self._halt()
 
     def _recover(self) -> None:
-        before = self._steps + self._offset
-        self._close()
-        self._open()
-        restarted = self._steps == 0
-        self._offset = np.where(restarted, before, self._offset)
+        try:
+            self._forget()
+            self._listen()
+        except DeviceError:  # hung, unplugged or reset: opening the ports anew resets most Arduinos
+            self._close()
+            self._open_links()
+            self._listen(ANNOUNCE_S)
+            if not self._counts.any() and self.place.axes.any():
+                self.place.lose("a board counts from zero; it was reset")
 
-    def _read_joints(self, timeout_s: float) -> tuple[Joints, bool]:
+    def _recount(self, axes: Array) -> None:
+        self._forget()
+        self._listen(ANNOUNCE_S)
+        self._offset, self._at = axes - self._counts, axes
+
+    def _forget(self) -> None:
+        """Pass over what has come so far: it may be of a board that was reset since."""
+        for link in self._boards():
+            try:
+                link.receive(0.0)
+            except BoardResetError as error:
+                self.place.lose(str(error))
+        self._heard_s = [0.0, 0.0]
+
+    def _read_axes(self, timeout_s: float) -> bool:
         self._listen(timeout_s)
-        return self.drive.joints_from_steps(self._steps + self._offset), any(self._moving)
+        return any(self._moving)
 
-    def _listen(self, timeout_s: float) -> None:
-        """Take in the positions that came; wait only when the newest are older than half a second."""
+    def _listen(self, timeout_s: float = SILENCE_S) -> None:
+        """Take in the reports that came; wait where the newest are older than `FRESH_S`.
+
+        Raises:
+            DeviceTimeoutError: none came in time.
+            DeviceProtocolError: what came cannot be read; where a board was reset, the place is lost.
+        """
         deadline = time.monotonic() + timeout_s
         while True:
-            for link, wanted in ((self._links[0], BEND_POSITION), (self._links[-1], SLIDER_POSITION)):
-                for name, payload in link.receive(0.0):
-                    if len(self._links) == 1 or name == wanted:
-                        self._take(name, payload)
+            try:
+                for link, wanted in zip((self._boards()[0], self._boards()[-1]), POSITIONS, strict=True):
+                    for name, payload in link.receive(0.0):
+                        if len(self._links) == 1 or name == wanted:
+                            self._take(name, payload)
+            except BoardResetError as error:
+                self.place.lose(str(error))
+                raise
             now = time.monotonic()
-            if now - min(self._heard_s) < SILENCE_S:
+            if now - min(self._heard_s) < FRESH_S:
+                self._believe(now)
                 return
             if now > deadline:
-                silent = [p for p, t in zip((BEND_POSITION, SLIDER_POSITION), self._heard_s, strict=True)
-                          if now - t >= SILENCE_S]  # fmt: skip
-                raise DeviceTimeoutError(f"{self.ports}: no {', '.join(silent)} for {SILENCE_S} s; is the board hung?")
+                silent = [p for p, t in zip(POSITIONS, self._heard_s, strict=True) if now - t >= FRESH_S]
+                raise DeviceTimeoutError(f"{self.ports}: no {', '.join(silent)} for {timeout_s} s; is the board hung?")
             time.sleep(0.002)
+
+    def _believe(self, now: float) -> None:
+        """Take the newest report to the place."""
+        at, reckoned = self._counts + self._offset, self._reckon()
+        resting = now > self._ends_s + BLIND_S and not any(self._moving)  # a report may be older than an order's end
+        if resting:
+            self.place.report(at, at)
+        elif now < self._ends_s and self.place.report(at, self._ends):
+            self.place.sent(reckoned)
+        else:
+            self.place.check(at)
+        spread = 0.0 if resting else self._unreported
+        self._at = np.clip(reckoned, at - spread, at + spread)
 
     def _take(self, name: str, payload: bytes) -> None:
         values = unpack_ints(payload)
         if name == BEND_POSITION and len(values) == 3:
-            self._steps[:2], self._moving[0], self._heard_s[0] = values[:2], bool(values[2]), time.monotonic()
+            self._counts[:2], self._moving[0], self._heard_s[0] = values[:2], bool(values[2]), time.monotonic()
         elif name == SLIDER_POSITION and len(values) == 2:
-            self._steps[2], self._moving[1], self._heard_s[1] = values[0], bool(values[1]), time.monotonic()
+            self._counts[2], self._moving[1], self._heard_s[1] = values[0], bool(values[1]), time.monotonic()
+
+
+def _unreported(limits: Limits, drive: Drive) -> Array:
+    """Steps (3,) that the motors can make between a report and the next one, at the speed caps."""
+    fastest = Joints(limits.max_bend_rate_rad_s, limits.max_bend_rate_rad_s, limits.max_insertion_rate_mm_s)
+    steps: Array = np.abs(drive.axes_mm(fastest)) * drive.steps_per_mm * BLIND_S + ROUNDING_STEPS
+    return steps
 
 
 class RosserialLight(Light):
     """An LED on an Arduino of its own, as in the thesis's set-up (§4.3.4)."""
 
-    def __init__(self, port: str, baud: int = 57600, deadline_s: float = 5.0) -> None:
+    def __init__(self, port: str, baud: int = 57600) -> None:
         super().__init__()
-        self.port, self.baud, self.deadline_s = port, baud, deadline_s
+        self.port, self.baud = port, baud
         self._link: RosserialLink | None = None
 
     def _open(self) -> None:
-        self._link = RosserialLink(self.port, self.baud, {LIGHT: UINT8}, self.deadline_s)
+        self._link = RosserialLink(self.port, self.baud, {LIGHT: UINT8}, ANNOUNCE_S)
 
     def _close(self) -> None:
         if self._link:

@@ -64,11 +64,15 @@ class TopicInfo:
         return cls(topic, texts[0], texts[1], texts[2], buffer_bytes)
 
 
-def encode(packet: Packet) -> bytes:
+def pack_packet(packet: Packet) -> bytes:
     """The bytes of a packet."""
     length, topic = struct.pack("<H", len(packet.payload)), struct.pack("<H", packet.topic)
     head = b"\xff\xfe" + length + bytes([255 - sum(length) % 256]) + topic
     return head + packet.payload + bytes([255 - (sum(topic) + sum(packet.payload)) % 256])
+
+
+class BoardResetError(DeviceProtocolError):
+    """A board announces its topics anew: it was reset and counts its steps from zero."""
 
 
 class Decoder:
@@ -112,8 +116,8 @@ class Decoder:
         return Packet(struct.unpack_from("<H", raw, 5)[0], raw[7:-1])
 
 
-REQUEST_TOPICS = encode(Packet(PUBLISHER, b""))
-STOP_SENDING = encode(Packet(STOP, b""))
+REQUEST_TOPICS = pack_packet(Packet(PUBLISHER, b""))
+STOP_SENDING = pack_packet(Packet(STOP, b""))
 
 
 def pack_ints(values: list[int]) -> bytes:
@@ -174,15 +178,24 @@ class RosserialLink:
             logger.debug("closing %s: %s", self.port, error)
         self._link.close()
 
+    def fileno(self) -> int | None:
+        """The port's file descriptor, None where the URL is of no real port."""
+        return self._link.fileno()
+
+    def packed(self, name: str, payload: bytes) -> bytes:
+        """The bytes that publish a serialized message to a topic."""
+        return pack_packet(Packet(self.topics[name].topic, payload))
+
     def publish(self, name: str, payload: bytes) -> None:
         """Send a serialized message to a topic that the device subscribes."""
-        self._link.write(encode(Packet(self.topics[name].topic, payload)))
+        self._link.write(self.packed(name, payload))
 
     def receive(self, timeout_s: float) -> list[tuple[str, bytes]]:
         """Messages that came, as (topic name, payload); waits up to ``timeout_s`` for the first one.
 
         Raises:
-            DeviceProtocolError: a wrong checksum, or the device started anew.
+            DeviceProtocolError: a wrong checksum.
+        BoardResetError: the device started anew.
             DeviceNotConnectedError: unplugged.
         """
         names = {info.topic: name for name, info in self.topics.items()}
@@ -193,7 +206,7 @@ class RosserialLink:
                 if packet.topic in names:
                     messages.append((names[packet.topic], packet.payload))
                 elif packet.topic in (PUBLISHER, SUBSCRIBER):
-                    raise DeviceProtocolError(f"{self.port}: the board was reset in mid-session; check its power.")
+                    raise BoardResetError(f"{self.port}: the board was reset in mid-session; check its power.")
             self._early.clear()
             if messages or time.monotonic() >= deadline:
                 return messages
@@ -204,7 +217,7 @@ class RosserialLink:
         packets = self._decoder.feed(self._link.read_available())
         for packet in packets:
             if packet.topic == TIME:
-                self._link.write(encode(Packet(TIME, pack_time(time.time()))))
+                self._link.write(pack_packet(Packet(TIME, pack_time(time.time()))))
             elif packet.topic == LOG:
                 logger.info("%s: %s", self.port, packet.payload[5:].decode("utf8", "replace"))
         return packets

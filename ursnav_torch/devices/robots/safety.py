@@ -9,6 +9,7 @@ from ursnav_torch.devices.base import JointRates, Joints
 from ursnav_torch.errors import InputError
 
 DISARMED, ARMED, STOPPED = "disarmed", "armed", "stopped"
+STRAIGHT = Joints()
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +31,31 @@ class Limits:
                 raise InputError(f"Limit {name} must be positive, got {getattr(self, name)}.")
 
 
-def clamp_rates(wanted: JointRates, joints: Joints, limits: Limits, horizon_s: float) -> JointRates:
+def clamp_rates(
+    wanted: JointRates, joints: Joints, limits: Limits, horizon_s: float, slack: Joints = STRAIGHT
+) -> JointRates:
     """The rates nearest to ``wanted`` that keep the speed caps and, for ``horizon_s``, the joint limits.
 
     The direction of a bend is kept when its speed is capped. A rate that is not finite counts as zero.
+
+    Args:
+        wanted: the operator's wish.
+        joints: where the robot stands.
+        limits: what it must keep.
+        horizon_s: for how long.
+        slack: how far the true joints may be from ``joints``; the limits are kept wherever they are.
     """
     bx, by = (v if math.isfinite(v) else 0.0 for v in (wanted.bend_x_rad_s, wanted.bend_y_rad_s))
     insertion = wanted.insertion_mm_s if math.isfinite(wanted.insertion_mm_s) else 0.0
     speed = math.hypot(bx, by)
     if speed > limits.max_bend_rate_rad_s:
         bx, by = (v * limits.max_bend_rate_rad_s / speed for v in (bx, by))
-    bx, by = _keep_bend(bx, by, joints, limits.max_bend_rad, horizon_s)
+    may_bend = max(limits.max_bend_rad - math.hypot(slack.bend_x_rad, slack.bend_y_rad), 0.0)
+    bx, by = _keep_bend(bx, by, joints, may_bend, horizon_s)
     cap = limits.max_insertion_rate_mm_s
     insertion = min(max(insertion, -cap), cap)
-    low, high = -joints.insertion_mm / horizon_s, (limits.max_insertion_mm - joints.insertion_mm) / horizon_s
+    low = (slack.insertion_mm - joints.insertion_mm) / horizon_s
+    high = (limits.max_insertion_mm - slack.insertion_mm - joints.insertion_mm) / horizon_s
     return JointRates(bx, by, min(max(insertion, min(low, 0.0)), max(high, 0.0)))
 
 

@@ -1,0 +1,158 @@
+"""What ends the motion when the driving program is frozen or dead: the board's horizon, and a process of its own."""
+
+import ast
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+from dialogue import wait_until
+
+from ursnav_torch.devices import GrblRobot, JointRates, RosserialRobot
+from ursnav_torch.devices.robots.guardian import Guardian
+from ursnav_torch.simulation.grbl_board import GrblBoard
+from ursnav_torch.simulation.port import SimulatedPort
+from ursnav_torch.simulation.rosserial_board import RosserialBoard
+
+DRIVER = """
+import ctypes, sys, time
+from ursnav_torch.devices import {kind}, JointRates
+robot = {kind}({port})
+robot.connect()
+robot.arm()
+print("driving", flush=True)
+begun = time.monotonic()
+while True:
+    robot.command(JointRates(0.0, 0.0, 8.0), True)
+    time.sleep(0.02)
+    if {hold} and time.monotonic() - begun > 0.6:
+        ctypes.PyDLL(None).usleep(2_000_000)  # holds the interpreter's lock
+"""
+
+
+@pytest.fixture
+def stop():
+    """A pipe's ends: what a guardian writes comes out of the first."""
+    read_end, write_end = os.pipe()
+    os.set_blocking(read_end, False)
+    yield read_end, write_end
+    os.close(read_end)
+    os.close(write_end)
+
+
+def heard(read_end):
+    try:
+        return os.read(read_end, 100)
+    except BlockingIOError:
+        return b""
+
+
+def test_silence_of_an_armed_program_is_answered_with_the_stop_once(stop):
+    guardian = Guardian({stop[1]: b"STOP"}, silence_s=0.3)
+    try:
+        guardian.feed(True)
+        said = []
+        assert wait_until(lambda: said.append(heard(stop[0])) or said[-1], 10.0)
+        assert said[-1] == b"STOP"
+        time.sleep(0.7)
+        assert heard(stop[0]) == b"" and guardian.is_alive
+    finally:
+        guardian.close()
+    assert heard(stop[0]) == b""  # closing in good order stops nothing
+
+
+def test_a_program_that_is_fed_or_not_armed_is_left_alone(stop):
+    guardian = Guardian({stop[1]: b"STOP"}, silence_s=5.0)
+    try:
+        guardian.feed(True)
+        guardian.feed(False)
+        time.sleep(0.3)
+        assert heard(stop[0]) == b""
+    finally:
+        guardian.close()
+    assert not guardian.is_alive
+
+
+def test_the_death_of_an_armed_program_is_answered_at_once(stop):
+    code = f"""
+    import os
+    from ursnav_torch.devices.robots.guardian import Guardian
+    Guardian({{{stop[1]}: b"STOP"}}, 60.0).feed(True)
+    input()
+    os._exit(1)
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdin=subprocess.PIPE, pass_fds=[stop[1]], text=True
+    ) as process:
+        process.communicate("\n", timeout=60)
+    said = []
+    assert wait_until(lambda: said.append(heard(stop[0])) or said[-1], 10.0) and said[-1] == b"STOP"
+
+
+@pytest.fixture(params=["GrblRobot", "RosserialRobot"])
+def scene(request):
+    """A board, the kind of its robot, and its slider's place in mm."""
+    board = GrblBoard() if request.param == "GrblRobot" else RosserialBoard()
+    port = SimulatedPort(board, period_s=0.002)
+    place = (lambda: board.axes_mm()[2]) if request.param == "GrblRobot" else (lambda: board.steps()[2] / 400)
+    ports = repr(port.path) if request.param == "GrblRobot" else repr([port.path])
+    yield request.param, ports, board, place
+    port.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["stopped", "killed", "interpreter held"])
+def test_a_program_frozen_at_8_mm_a_second_moves_no_farther_than_it_may(scene, how):
+    kind, ports, board, place = scene
+    code = DRIVER.format(kind=kind, port=ports, hold=how == "interpreter held")
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "driving\n"
+        assert wait_until(lambda: board.moving and place() > 1.0, 5.0)
+        if how == "interpreter held":
+            assert wait_until(lambda: not board.moving, 5.0)
+            stood = place()
+            time.sleep(0.5)
+            assert place() == stood and process.poll() is None
+            return
+        at, begun = place(), time.monotonic()
+        process.send_signal(signal.SIGSTOP if how == "stopped" else signal.SIGKILL)
+        assert wait_until(lambda: not board.moving, 2.0)
+        print(f"{kind} {how}: moved on for {time.monotonic() - begun:.3f} s, {place() - at:.2f} mm")
+        assert place() - at < 1.5  # 1.2 mm, and what was made between looking and freezing
+    finally:
+        process.kill()
+        process.stdout.close()
+        process.wait()
+
+
+@pytest.mark.slow
+def test_a_board_that_falls_silent_is_driven_no_farther_than_it_may(scene):
+    kind, ports, board, place = scene
+    path = ast.literal_eval(ports)
+    robot = (GrblRobot if kind == "GrblRobot" else RosserialRobot)(path)
+    with robot:
+        robot.arm()
+        end, at, silent = time.monotonic() + 1.5, 0.0, False
+        while time.monotonic() < end and robot.gate.state == "armed":
+            if not silent and place() > 2.0:
+                silent, at = True, place()
+                board.handle, heard_by_motors = _deaf(board), board.handle
+            try:
+                robot.command(JointRates(insertion_mm_s=8.0), True)
+            except Exception as error:
+                assert "answer" in str(error) or "hung" in str(error) or "did not send" in str(error)
+            time.sleep(0.02)
+        assert silent and wait_until(lambda: not board.moving, 1.0)
+        print(f"{kind}: {place() - at:.2f} mm after the last report")
+        assert place() - at < 1.3
+        board.handle = heard_by_motors
+
+
+def _deaf(board):
+    """Hears, and moves as told, but says nothing."""
+    hear = board.handle
+    return lambda data: hear(data) and b""
