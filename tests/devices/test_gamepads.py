@@ -22,8 +22,42 @@ def pressed(*numbers):
     return [int(n in numbers) for n in range(11)]
 
 
+def rested(mapping=None):
+    """Hands off at first, then a stick that moves a little: axes that say so may drive."""
+    read = MappedInput(mapping or GamepadMapping())
+    read(NOW, [0.05] * 8, pressed())
+    return read
+
+
+TRIGGER = GamepadMapping(axes={"insertion": (2, 1.0)})
+
+
+def test_a_trigger_that_rests_at_minus_one_cannot_drive():
+    read = MappedInput(TRIGGER)
+    released, dead_man = [0.0, 0.0, -1.0], pressed(0)
+    assert read(NOW, released, pressed()).insertion == 0.0
+    for value in (-1.0, -0.5, 0.0, 0.5, 1.0, 0.0, -1.0):
+        assert read(NOW, [0.0, 0.0, value], dead_man).insertion == 0.0
+
+
+def test_a_trigger_of_which_the_driver_says_zero_until_it_moves_cannot_drive_either():
+    read = MappedInput(TRIGGER)
+    assert read(NOW, [0.0, 0.0, 0.0], pressed()).insertion == 0.0
+    for value in (-0.9, -0.2, 0.6, -1.0):
+        assert read(NOW, [0.0, 0.0, value], pressed(0)).insertion == 0.0
+
+
+def test_a_stick_held_over_when_the_dead_man_goes_down_waits_until_it_was_let_go():
+    read = rested(TRIGGER)
+    assert read(NOW, [0.0, 0.0, 0.9], pressed()).insertion == 0.0
+    assert read(NOW, [0.0, 0.0, 0.9], pressed(0)).insertion == 0.0
+    assert read(NOW, [0.0, 0.0, 0.0], pressed(0)).insertion == 0.0
+    read(NOW, [0.0, 0.0, 0.0], pressed())
+    assert read(NOW, [0.0, 0.0, 0.9], pressed(0)).insertion > 0.8
+
+
 def test_convention_sticks_and_shoulder_buttons_do_what_the_thesis_says():
-    read = MappedInput(GamepadMapping())
+    read = rested()
     hands = read(NOW, [1.0, -1.0], pressed(0, 4))
     assert (hands.bend_x, hands.bend_y, hands.insertion, hands.dead_man) == (1.0, -1.0, 1.0, True)
     assert read(NOW, [0, 0], pressed(5)).insertion == -1.0
@@ -155,6 +189,16 @@ def test_a_joystick_is_read_and_its_unplugging_noticed(monkeypatch):
     pygame.event = types.SimpleNamespace(get=lambda: events)
     monkeypatch.setitem(sys.modules, "pygame", pygame)
     with PygameGamepad() as gamepad:
+        stick = gamepad._stick
+        stick.axes[0] = 0.05
+        gamepad.read()
+        stick.axes[0], stick.hat = 0.5, (0, 0)
+        gamepad.read()
+        assert gamepad.read().bend_x == 0.0  # moved while the dead man's button was not held
+        stick.axes[0] = 0.05
+        gamepad.read()
+        stick.axes[0], stick.hat = 0.5, (0, 1)
+        stick.buttons[0] = 1
         hands = gamepad.read()
         assert hands.bend_x == pytest.approx((0.5 - 0.08) / 0.92) and hands.light_step == 1  # the hat is axis 7
         events.append(types.SimpleNamespace(type=1542, instance_id=3))

@@ -78,6 +78,9 @@ def test_joy_drives_and_silence_lets_go(bridge):
         assert gamepad.read().dead_man is False
         assert wait_until(lambda: any(m["op"] == "subscribe" for m in bridge.heard), 1.0)
         assert bridge.heard[0]["topic"] == "/joy" and bridge.heard[0]["type"] == "sensor_msgs/Joy"
+        bridge.publish("/joy", JOY | {"axes": [0.05] * 8, "buttons": [0] * 11})
+        time.sleep(0.1)
+        gamepad.read()  # hands off
         bridge.publish("/joy", JOY)
         assert wait_until(lambda: gamepad.read().dead_man, 1.0)
         hands = gamepad.read()

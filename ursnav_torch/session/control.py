@@ -55,7 +55,7 @@ class Control:
         """
         try:
             hands = self.gamepad.read()
-        except DeviceError:
+        except Exception:
             if self.robot:
                 self.robot.disarm()
             raise
@@ -69,6 +69,10 @@ class Control:
             events += self._drive(hands)
         except DeviceError as error:
             events.append(Note(self._note(), "error", str(error)))
+        except Exception as error:  # a driver's own mistake must neither end this cycle for good nor leave it moving
+            if self.robot:
+                self.robot.emergency_stop(f"{type(error).__name__}: {error}")
+            events.append(Note(self._note(), "error", f"{type(error).__name__}: {error}"))
         return events
 
     def _drive(self, hands: OperatorInput) -> list[Any]:

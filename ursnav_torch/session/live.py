@@ -1,6 +1,5 @@
-"""A running session: a thread for each source, one queue, and the robot driven beside it."""
+"""A running session: a supervised thread for each source, one queue, and the robot driven beside it."""
 
-import logging
 import queue
 import threading
 import time
@@ -8,34 +7,22 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ursnav_torch.devices import (
-    Device,
-    Frame,
-    Note,
-    OperatorInput,
-    RobotSample,
-    SourceAtEndError,
-    Stamper,
-    TrackerSample,
-)
-from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.devices import Device, Frame, Note, OperatorInput, RobotSample, Stamper, TrackerSample
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Snapshot
 from ursnav_torch.session.rig import Rig
 from ursnav_torch.session.source import Pace
+from ursnav_torch.session.supervise import Supervisor
 
-logger = logging.getLogger(__name__)
 CONTROL_HZ = 50.0
 CATCH_UP_S = 0.1  # cycles that a busy machine delayed are made up for, up to this long ago
-RETRY_S = 1.0
-FAULTS_BEFORE_RECONNECT = 10
 
 
 class Live:
     """The events of a connected rig, as they happen, until the operator quits or the pictures end.
 
     Camera and tracker are read by threads of their own; the operator drives the robot 50 times a second in another,
-    whatever the reader of the events is busy with. A device that fails is reported as a note and connected again.
+    whatever the reader of the events is busy with. Whatever a device does is reported as a note, see `Supervisor`.
 
     Args:
         rig: the devices, connected.
@@ -51,11 +38,17 @@ class Live:
         self._end = threading.Event()
         self._note = Stamper()
         self._snapshot = Stamper()
+        self._supervisor = Supervisor(self._tell, self._end)
 
     @property
     def pace(self) -> Pace:
         """Devices give pictures without pause; a simulation stamps them before it has drawn them."""
         return Pace(stamped_now=self.rig.twin is None)
+
+    @property
+    def outages_s(self) -> dict[str, float]:
+        """For how long each device gave nothing because it had failed."""
+        return dict(self._supervisor.outages_s)
 
     def stop(self) -> None:
         """End the session; what has happened so far is still given out."""
@@ -90,10 +83,14 @@ class Live:
         finally:
             self._end.set()
             timer.cancel()
-            if self.rig.robot and self.rig.robot.is_connected:
-                self.rig.robot.disarm()
+            self._disarm()
             for thread in threads:
                 thread.join(timeout=2.0)
+            self._disarm()  # the last cycle may have armed
+
+    def _disarm(self) -> None:
+        if self.rig.robot and self.rig.robot.is_connected:
+            self.rig.robot.disarm()
 
     def _start(self) -> list[threading.Thread]:
         jobs: list[tuple[str, Callable[[], None]]] = []
@@ -118,63 +115,38 @@ class Live:
             self.dropped += 1
 
     def _tell(self, level: str, text: str) -> None:
-        logger.log(logging.WARNING if level == "warning" else logging.ERROR, "%s", text)
         self._put(Note(self._note(), level, text))
 
     def _pump(self, device: Device, read: Callable[[float], Event], ends_session: bool = False) -> None:
-        """Move a device's samples to the queue; silence and faults become notes, a lost device is sought again."""
-        name, faults, silent = type(device).__name__, 0, False
-        while not self._end.is_set():
-            try:
-                self._put(read(0.5))
-                if silent:
-                    self._tell("warning", f"{name}: samples come again")
-                faults, silent = 0, False
-            except SourceAtEndError as error:
-                self._tell("warning", f"{name}: {error}")
-                if ends_session:
-                    self._end.set()
-                return
-            except DeviceTimeoutError as error:
-                if not silent:
-                    self._tell("warning", f"{name}: {error}")
-                silent = True
-            except InputError as error:  # one picture that cannot be used
-                self._tell("error", f"{name}: {error}")
-            except DeviceError as error:
-                faults += 1
-                self._tell("error", f"{name}: {error}")
-                if isinstance(error, DeviceNotConnectedError) or faults >= FAULTS_BEFORE_RECONNECT:
-                    self._reconnect(device)
-                    faults = 0
-
-    def _reconnect(self, device: Device) -> None:
-        device.disconnect()
-        while not self._end.wait(RETRY_S):
-            try:
-                device.connect()
-                self._tell("warning", f"{type(device).__name__}: connected again")
-                return
-            except DeviceError as error:
-                logger.info("%s: %s", type(device).__name__, error)
+        """Move a device's samples to the queue until it is at its end."""
+        self._supervisor.run(device, lambda: self._put(read(0.5)))
+        if ends_session:
+            self._end.set()
 
     def _control(self, control: Control) -> None:
-        """Drive, in step with the clock; a lost input device disarms the robot and is sought again."""
+        """Drive, in step with the clock; at the end, and at any fault of the input device, the robot is disarmed."""
         recent: deque[str] = deque(maxlen=1)
         due = time.monotonic()
-        while not self._end.wait(max(0.0, due - time.monotonic())):
+
+        def cycle() -> None:
+            nonlocal due
+            self._end.wait(max(0.0, due - time.monotonic()))
             begun = time.monotonic()
             due = max(due + 1 / CONTROL_HZ, begun - CATCH_UP_S)
             try:
-                for event in control.step():
-                    if isinstance(event, Note):
-                        if event.text not in recent:
-                            recent.append(event.text)
-                            self._tell(event.level, event.text)
-                    else:
-                        self._put(event)
-            except DeviceError as error:
-                self._tell("error", str(error))
-                self._reconnect(control.gamepad)
-                due = time.monotonic()
+                events = control.step()
+            except BaseException:
+                self._disarm()
+                raise
+            for event in events:
+                if not isinstance(event, Note):
+                    self._put(event)
+                elif event.text not in recent:  # a fault that lasts is said once
+                    recent.append(event.text)
+                    self._supervisor.tell(event.level, event.text)
             self.longest_cycle_s = max(self.longest_cycle_s, time.monotonic() - begun)
+
+        try:
+            self._supervisor.run(control.gamepad, cycle)
+        finally:
+            self._disarm()

@@ -40,6 +40,11 @@ class Player:
         """Nothing: a record waits."""
         return 0
 
+    @property
+    def outages_s(self) -> dict[str, float]:
+        """Nothing: a record does not fail."""
+        return {}
+
     def play(self) -> None:
         """Go on; from the beginning where the record is at its end."""
         if self.position_s >= self.duration_s:

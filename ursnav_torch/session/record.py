@@ -5,6 +5,7 @@ before the line that names it is written, and every line is handed to the system
 cuts the record at, what was written before can be read.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -102,13 +103,16 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._events >= 0:
-            os.fsync(self._events)
+            with contextlib.suppress(OSError):  # a full disk was said when the event could not be written
+                os.fsync(self._events)
             os.close(self._events)
             self._events = -1
             commit(self._folder, self.path)
 
     def _line(self, event: Event, **extra: Any) -> None:
-        os.write(self._events, (to_line(event, **extra) + "\n").encode("utf-8"))
+        line = (to_line(event, **extra) + "\n").encode("utf-8")
+        while line:  # a disk that is nearly full takes a part
+            line = line[os.write(self._events, line) :]
         now = time.monotonic()
         if now - self._synced_s > SYNC_S:
             getattr(os, "fdatasync", os.fsync)(self._events)

@@ -37,7 +37,8 @@ class Summary:
         counts: events by kind.
         lost: gaps in the sources' own numbers, by kind.
         dropped: events that nobody took in time.
-        faults: warnings and errors of devices, in order; what was missed while a device was gone is in no count.
+        faults: warnings and errors of devices, in order.
+        outages_s: for how long each device gave nothing because it had failed; what was missed is in no count.
         seconds: how long it took.
     """
 
@@ -45,6 +46,7 @@ class Summary:
     lost: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
     faults: list[str] = field(default_factory=list)
+    outages_s: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     _last: dict[str, int] = field(default_factory=dict, repr=False)
 
@@ -67,7 +69,8 @@ class Summary:
         bad = [f"{n} {_NAMES[kind]} lost" for kind, n in self.lost.items()]
         bad += [f"{self.dropped} dropped"] * bool(self.dropped)
         if self.faults:
-            bad.append(f"{len(self.faults)} device faults (what they cost is not counted), the first: {self.faults[0]}")
+            bad.append(f"{len(self.faults)} device faults, the first: {self.faults[0]}")
+        bad += [f"{name} gave nothing for {seconds:.1f} s" for name, seconds in self.outages_s.items()]
         return f"{self.seconds:.1f} s: {counts or 'nothing'}; {'; '.join(bad) or 'none lost'}"
 
 
@@ -113,5 +116,6 @@ def run_session(source: Source, worker: Worker | None = None, observers: Sequenc
         worker.wait()
         for result in worker.results():
             tell(result)
-    summary.dropped, summary.seconds = source.dropped, time.monotonic() - begun
+    summary.dropped, summary.outages_s = source.dropped, dict(source.outages_s)
+    summary.seconds = time.monotonic() - begun
     return summary

@@ -1,6 +1,6 @@
 """Where a session's events come from, live or replayed, behind one contract."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -33,6 +33,10 @@ class Source(Protocol):
     @property
     def dropped(self) -> int:
         """Events that were lost because nobody took them in time."""
+
+    @property
+    def outages_s(self) -> Mapping[str, float]:
+        """For how long each device gave nothing because it had failed."""
 
     def stop(self) -> None:
         """End; may be called from any thread, and any number of times."""

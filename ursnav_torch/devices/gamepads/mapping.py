@@ -11,6 +11,11 @@ BUTTONS = (
     "forward", "back", "dead_man", "light_up", "light_down", "arm", "acknowledge", "snapshot", "quit", "emergency_stop",
 )  # fmt: skip
 
+#: Axes that move the scope.
+DRIVING = ("bend_x", "bend_y", "insertion")
+#: A first report farther from rest than this is a trigger that was let go, not a stick that is being moved.
+JUMP = 0.5
+
 
 def _default_axes() -> dict[str, tuple[int, float]]:
     return {"bend_x": (0, 1.0), "bend_y": (1, 1.0), "light": (7, 1.0)}
@@ -54,12 +59,19 @@ class GamepadMapping:
 
 
 class MappedInput:
-    """Turns raw axes and buttons into the operator's wishes, and remembers which buttons were down."""
+    """Turns raw axes and buttons into the operator's wishes, and remembers which buttons were down.
+
+    An analog trigger rests at -1, which would mean full speed back: an axis drives only if it was at rest with the dead
+    man's button released. Drivers say 0 of an axis until it first moves, so one whose first word is a jump does not
+    drive either until it was seen at rest.
+    """
 
     def __init__(self, mapping: GamepadMapping) -> None:
         self._mapping = mapping
         self._down: set[str] = set()
         self._light = 0
+        self._fit: set[str] = set()
+        self._spoken: set[str] = set()
 
     def __call__(self, stamp: Stamp, axes: Sequence[float], buttons: Sequence[int]) -> OperatorInput:
         """The operator's input of this moment; axes and buttons that the device lacks count as at rest."""
@@ -68,11 +80,12 @@ class MappedInput:
         light = round(self._axis("light", axes))
         light_step = ("light_up" in went_down) - ("light_down" in went_down) + (light if light != self._light else 0)
         self._light = light
-        drive = self._axis("insertion", axes) + ("forward" in down) - ("back" in down)
+        self._watch_axes(axes, "dead_man" in down)
+        drive = self._driving("insertion", axes) + ("forward" in down) - ("back" in down)
         return OperatorInput(
             stamp,
-            bend_x=self._axis("bend_x", axes),
-            bend_y=self._axis("bend_y", axes),
+            bend_x=self._driving("bend_x", axes),
+            bend_y=self._driving("bend_y", axes),
             insertion=min(max(drive, -1.0), 1.0),
             dead_man="dead_man" in down,
             light_step=min(max(light_step, -1), 1),
@@ -82,6 +95,24 @@ class MappedInput:
             quit="quit" in went_down,
             emergency_stop="emergency_stop" in down,
         )
+
+    def _watch_axes(self, axes: Sequence[float], dead_man: bool) -> None:
+        """Learn which axes are at rest; only with the dead man's button released can one become fit to drive."""
+        for name in DRIVING:
+            number, _ = self._mapping.axes.get(name, (-1, 0.0))
+            value = axes[number] if 0 <= number < len(axes) else 0.0
+            at_rest = past_dead_zone(value, self._mapping.dead_zone) == 0.0
+            first_word = name not in self._spoken and value != 0.0
+            if value != 0.0:
+                self._spoken.add(name)
+            if at_rest and not dead_man:
+                self._fit.add(name)
+            elif not dead_man or (first_word and abs(value) > JUMP):
+                self._fit.discard(name)
+
+    def _driving(self, name: str, axes: Sequence[float]) -> float:
+        """An axis that may drive: it was at rest when the dead man's button went down."""
+        return self._axis(name, axes) if name in self._fit else 0.0
 
     def _axis(self, name: str, axes: Sequence[float]) -> float:
         number, factor = self._mapping.axes.get(name, (-1, 0.0))
