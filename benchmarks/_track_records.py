@@ -16,13 +16,12 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
-#: The settings classes of a `Tracker` by their names in `TrackSettings`.
-SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -43,16 +42,22 @@ class Choice:
         group, _, name = name.partition(".")
         return [cls(((group, name, float(v)),), odometry) for v in values.split(",")]
 
-    def groups(self) -> dict[str, Any]:
-        """Arguments for the `Tracker`."""
-        found: dict[str, Any] = {}
-        kinds = SETTINGS_GROUPS
+    def settings(self) -> TrackSettings:
+        """The settings of a `Tracker`.
+
+        Raises:
+            InputError: there is no such setting.
+        """
+        found = TrackSettings()
         for group, name, value in self.overrides:
-            if group not in kinds or name not in {f.name for f in fields(kinds[group])}:
-                raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
-            base = found.get(group, kinds[group]())
-            found[group] = replace(base, **{name: type(getattr(base, name))(value)})
-        return {"settings": TrackSettings(**found)}
+            part = getattr(found, group, None)
+            if part is None or not hasattr(part, name):
+                raise InputError(
+                    f"{group}.{name} is no setting of tracking; groups are {', '.join(f.name for f in fields(found))}."
+                )
+            changed = replace(part, **{name: type(getattr(part, name))(value)})
+            found = replace(found, **{group: changed})
+        return found
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]
@@ -70,7 +75,9 @@ class Record:
         calyx, true_calyx: (N,) indices, -1 for none.
         position_sd_mm, direction_sd_deg: (N,) nan where not told.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        extra: (N, K) diagnostics: fit, score, confidence.
+        aligned: (N, 4, 4) poses before the filter, nan where a picture showed nothing.
+        evidence: (N, 4) score, and the three numbers of an `Evidence`.
+        right: (N,) probability that the place is the right one.
     """
 
     flown: Flown
@@ -80,7 +87,9 @@ class Record:
     true_calyx: NDArray[np.int64]
     position_sd_mm: Array
     direction_sd_deg: Array
-    extra: Array
+    aligned: Array
+    evidence: Array
+    right: Array
 
     @property
     def off_mm(self) -> Array:
@@ -96,7 +105,7 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
     key = hashlib.sha256((_sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
     path = seen.folder / f"track_{key}.npz"
     if not path.exists():
-        answers = list(_answers(seen, Tracker(vid, lumen, **choice.groups()), choice))
+        answers = list(_answers(seen, Tracker(vid, lumen, choice.settings()), choice))
         np.savez(path, **_arrays(answers))
     with np.load(path) as kept:
         true = observed_calyx(seen.flight.T_kidney_camera, vid.kidney, lumen)
@@ -105,7 +114,8 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
 
 def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]:
     for i, features in enumerate(features_of(seen, tracker)):
-        yield tracker.follow(features, float(seen.flight.t_s[i]))
+        told = OdometryReading(*seen.flight.odometry[i].tolist()) if choice.odometry else None
+        yield tracker.follow(features, float(seen.flight.t_s[i]), odometry=told)
 
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
@@ -127,10 +137,15 @@ def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
         "state": np.array([a.state for a in answers]),
         "T": np.array([nowhere if a.T_kidney_camera is None else a.T_kidney_camera for a in answers]),
         "calyx": np.array([a.calyx for a in answers]),
-        "position_sd_mm": np.array([getattr(a, "position_sd_mm", np.nan) for a in answers]),
-        "direction_sd_deg": np.array([getattr(a, "direction_sd_deg", np.nan) for a in answers]),
-        "extra": np.array([[a.fit, a.score, a.confidence] for a in answers]),
-    }
+        "position_sd_mm": np.array([a.position_sd_mm for a in answers]),
+        "direction_sd_deg": np.array([a.direction_sd_deg for a in answers]),
+        "aligned": np.array([nowhere if a.T_aligned is None else a.T_aligned for a in answers]),
+        "evidence": np.array([
+            [np.nan] * 4 if a.evidence is None else [a.score, a.evidence.score, a.evidence.lead, a.evidence.fit]
+            for a in answers
+        ]),
+        "right": np.array([a.right for a in answers]),
+    }  # fmt: skip
 
 
 def _sources(rooms: tuple[str, ...]) -> str:

@@ -25,5 +25,5 @@ def scaled(settings: Settings, scale: float) -> Settings:
         if is_dataclass(value) and not isinstance(value, type):
             changed[field.name] = scaled(value, scale)
         elif field.name.endswith(LENGTH_ENDINGS) and value is not None:
-            changed[field.name] = value * scale
+            changed[field.name] = tuple(v * scale for v in value) if isinstance(value, tuple) else value * scale
     return replace(settings, **changed)

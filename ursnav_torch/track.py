@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 
-@runner("track", paths=("source", "em", "em_to_kidney", "truth"))
+@runner("track", paths=("source", "em", "em_to_kidney", "odometry", "truth"))
 def main(config: Any) -> int:
     """Instantiate the choices and call `runs.track.track_source`."""
     from hydra.utils import instantiate
@@ -14,8 +14,9 @@ def main(config: Any) -> int:
     from ursnav_torch.errors import InputError
     from ursnav_torch.registration import recorded_readings
     from ursnav_torch.results import check_set
+    from ursnav_torch.runs.odometry import recorded_odometry
     from ursnav_torch.runs.sources import open_source, picture_times
-    from ursnav_torch.runs.track import camera_source, track_results, track_source
+    from ursnav_torch.runs.track import Instruments, camera_source, track_results, track_source
     from ursnav_torch.runs.track_files import Besides, read_truth
     from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
@@ -41,12 +42,20 @@ def main(config: Any) -> int:
             vid.kidney.mesh.bounds,
         )
         readings += "\n"
+    odometry = None
+    if config.odometry is not None:
+        if config.source == "camera":
+            raise InputError("odometry= is the log of a recording; with a camera, `navigate` hears the robot itself.")
+        odometry = recorded_odometry(caller_path(config.odometry))
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
-    read = [config[key] for key in ("source", "em", "em_to_kidney", "truth") if config[key] is not None]
+    read = [config[key] for key in ("source", "em", "em_to_kidney", "odometry", "truth") if config[key] is not None]
     besides = Besides(truth, config.tum, tuple(caller_path(path) for path in read if path != "camera"))
     check_set(track_results(out, besides), config.overwrite)
-    summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline, besides)
+    instruments = Instruments(sensor, odometry)
+    summary, whole = track_source(
+        tracker, source, out, instruments, config.overwrite, progress, config.offline, besides
+    )
     print(readings + summary)
     return OK if whole else NOT_DONE
 

@@ -3,7 +3,7 @@
 import csv
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,19 @@ from ursnav_torch.runs.sources import live_source
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
 
-Sensor = Callable[[Moment], SensorReading | None]
+
+@dataclass(frozen=True, slots=True)
+class Instruments:
+    """What is known beside the pictures: an EM reading, and what the robot reports, for a picture; None without."""
+
+    sensor: Callable[[Moment], SensorReading | None] | None = None
+    odometry: Callable[[Moment], OdometryReading | None] | None = None
+
 
 #: Every so many views of the VID are asked what they can see; neighbors see the same.
 _REACH_STRIDE = 4
@@ -35,7 +43,7 @@ def track_source(
     tracker: Tracker,
     source: Source,
     out: Path,
-    sensor: Sensor | None,
+    instruments: Instruments | None,
     overwrite: bool,
     progress: Progress,
     offline: bool = False,
@@ -50,7 +58,7 @@ def track_source(
         tracker: fresh.
         source: the pictures.
         out: CSV file of the rows.
-        sensor: an EM reading for a picture.
+        instruments: EM readings and odometry for pictures, as far as there are.
         overwrite: replace what stands there.
         progress: shows how far it is.
         offline: follow a recording both ways before anything is answered, see `track_offline`.
@@ -67,7 +75,7 @@ def track_source(
     work = {"vid": str(tracker.vid.folder), "source": source.what, "offline": offline, "inputs": besides.fingerprints()}
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
-            summary, ended = _tracked(tracker, source, whole, sensor, progress, offline)
+            summary, ended = _tracked(tracker, source, whole, instruments or Instruments(), progress, offline)
             whole.outcome = [summary + besides.write(whole), ended]
     told, ended = whole.outcome
     return str(told), bool(ended)
@@ -79,7 +87,7 @@ def track_results(out: Path, besides: Besides) -> tuple[Path, ...]:
 
 
 def _tracked(
-    tracker: Tracker, source: Source, whole: WholeSet, sensor: Sensor | None, progress: Progress, offline: bool
+    tracker: Tracker, source: Source, whole: WholeSet, instruments: Instruments, progress: Progress, offline: bool
 ) -> tuple[str, bool]:
     """Track, write rows and coverage; the summary, and whether the source was tracked to its end."""
     out, *beside = whole.paths[:3]
@@ -92,11 +100,12 @@ def _tracked(
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
         with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
             try:
-                for row, tracked in track_rows(tracker, follow(tracker, source, sensor, advance), coverage):
+                answers = follow(tracker, source, instruments.sensor, advance, instruments.odometry)
+                for row, tracked in track_rows(tracker, answers, coverage):
                     writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
                     spent.append(tracked.seconds)
                     states[tracked.state] = states.get(tracked.state, 0) + 1
-                    last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
+                    last, ended = (tracked.T_kidney_camera if tracked.state == TRACKING else last), tracked.state
             except KeyboardInterrupt:
                 interrupted = True
         if interrupted and not states:

@@ -21,6 +21,7 @@ from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
 from ursnav_torch.tracking.follow import Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
@@ -30,10 +31,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """A picture on the way there: when, the EM reading, the answer, and whether its relief was kept."""
+    """A picture on the way there: when, the instruments' readings, the answer, and whether its relief was kept."""
 
     moment: Moment
     reading: SensorReading | None
+    told: OdometryReading | None
     answer: Tracked
     kept: bool
 
@@ -43,6 +45,7 @@ def follow_both_ways(
     source: Source,
     sensor: Callable[[Moment], SensorReading | None] | None = None,
     advance: Callable[[int], None] = lambda n: None,
+    odometry: Callable[[Moment], OdometryReading | None] | None = None,
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture of a file, without its image, and the answer to it once all have been seen.
 
@@ -54,6 +57,7 @@ def follow_both_ways(
         source: of recorded pictures.
         sensor: an EM reading for a picture.
         advance: called with 1 after every picture, on both ways.
+        odometry: what the robot reports for a picture.
 
     Raises:
         InputError: the source is live.
@@ -65,16 +69,17 @@ def follow_both_ways(
         with tempfile.TemporaryFile() as spool:
             for moment, features, spent in extracted(tracker, source):
                 start, reading = time.perf_counter() - spent, sensor(moment) if sensor else None
-                answer = tracker.follow(features, moment.t_s, reading, start)
+                told = odometry(moment) if odometry else None
+                answer = tracker.follow(features, moment.t_s, reading, start, told)
                 if features is not None:
                     spool.write(features.fields[0].numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
-                there.append(_Followed(light, reading, answer, features is not None))
+                there.append(_Followed(light, reading, told, answer, features is not None))
                 advance(1)
             back = []
             for step, features in zip(reversed(there), _recalled(tracker, there, spool), strict=True):
                 t_s = 2 * there[-1].moment.t_s - step.moment.t_s
-                back.append(tracker.follow(features, t_s, step.reading))
+                back.append(tracker.follow(features, t_s, step.reading, odometry=step.told))
                 advance(1)
         forward, times = [step.answer for step in there], [step.moment.t_s for step in there]
         answers = join(forward, back[::-1], times, tracker, [step.reading for step in there])
