@@ -27,11 +27,14 @@ _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracki
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Settings of a track: overrides of the `Tracker`'s groups by name, as ``(group, name, value)``."""
+    """Settings of a track: overrides of the `Tracker`'s groups by name, as ``(group, name, value)``.
+
+    ``other`` says that the VID is another kidney's.
+    """
 
     overrides: tuple[tuple[str, str, float], ...] = ()
     odometry: bool = False
-    offline: bool = False
+    other: bool = False
 
     @classmethod
     def varied(cls, text: str, odometry: bool) -> list["Choice"]:
@@ -61,7 +64,8 @@ class Choice:
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]
-        return ", ".join([*parts, *(["odometry"] if self.odometry else []), *(["offline"] if self.offline else [])])
+        parts += ["odometry"] * self.odometry + ["in another kidney's VID"] * self.other
+        return ", ".join(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +107,7 @@ class Record:
 def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Record:
     """The track of a flight; from disk where the same code with the same settings made it before."""
     key = hashlib.sha256((_sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
-    path = seen.folder / f"track_{key}.npz"
+    path = seen.folder / f"{'refused' if choice.other else 'track'}_{key}.npz"
     if not path.exists():
         answers = list(_answers(seen, Tracker(vid, lumen, choice.settings()), choice))
         np.savez(path, **_arrays(answers))

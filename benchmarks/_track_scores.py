@@ -47,6 +47,17 @@ def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
             report.add(group, f"truth in the 90 % region{name}", "%", [100 * float(inside.mean())], n=int(of.sum()))
 
 
+def add_refusals(report: Report, group: str, records: Sequence[Record]) -> None:
+    """What a VID makes of flights through another kidney: nothing is believed, and they end lost."""
+    on = np.concatenate([r.state == TRACKING for r in records])
+    report.add(group, "believed", "%", [100 * float(on.mean())], n=len(on))
+    ended = [r.state[-1] == LOST for r in records]
+    report.add(group, "flights that end lost", f"of {len(ended)}", [float(sum(ended))], n=len(ended))
+    until = [float(r.flown.flight.t_s[int(np.argmax(r.state == LOST))]) for r in records if (r.state == LOST).any()]
+    if until:
+        report.add(group, "time until lost", "s", until)
+
+
 def losses_s(record: Record) -> list[float]:
     """How long each stretch without a place, or with a wrong one, lasted; the first place's is not among them."""
     t = record.flown.flight.t_s

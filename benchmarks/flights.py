@@ -4,6 +4,8 @@
     python -m benchmarks.flights work=DIR half=choosing         # the half that settings may be chosen with
     python -m benchmarks.flights work=DIR data=DIR              # the kidneys in DIR judge, too
     python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
+    python -m benchmarks.flights work=DIR odometry=true         # with what the robot reports
+    python -m benchmarks.flights work=DIR other=true            # every flight in the next kidney's VID: ends lost?
 
 Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
 change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only.
@@ -13,16 +15,18 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from benchmarks._flights import CHOOSING, JUDGING, Case, flown, population, vid_for
+from benchmarks._flights import CHOOSING, JUDGING, flown, population, vid_for
 from benchmarks._results import Report, overrides
 from benchmarks._track_records import Choice, Record, tracked
-from benchmarks._track_scores import add_scores
+from benchmarks._track_scores import add_refusals, add_scores
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import LumenDistance
 
 SETTINGS = {
     "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "", "odometry": False,
+    "other": False,
     "only": "", "out": "",
 }  # fmt: skip
 
@@ -37,29 +41,40 @@ def main(arguments: list[str]) -> None:
     report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
-        choices = [Choice(odometry=settings["odometry"]), *Choice.varied(settings["vary"], settings["odometry"])]
+        choices = [
+            Choice(odometry=settings["odometry"], other=settings["other"]),
+            *Choice.varied(settings["vary"], settings["odometry"]),
+        ]
         records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
         for choice, record in _all_records(settings, work, choices):
             records[choice].append(record)
     for choice, found in records.items():
-        add_scores(report, str(choice), found)
+        (add_refusals if choice.other else add_scores)(report, str(choice), found)
     print(report.table())
     print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
 
 
-def _all_records(settings: dict, work: Path, choices: list[Choice]) -> Iterator[tuple[Choice, Record]]:
+def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) -> Iterator[tuple[Choice, Record]]:
     data = Path(settings["data"]) if settings["data"] else None
     given = () if data is None else tuple(sorted(p.parent.name for p in data.glob("*/video.mp4")))
     cases = [c for c in population(settings["phantoms"], given) if c.half == settings["half"]]
     cases = [c for c in cases if settings["only"] in c.name]
+    kidneys = list(
+        dict.fromkeys(c.kidney for c in population(settings["phantoms"], given) if c.half == settings["half"])
+    )
+    first = {c.kidney: c for c in population(settings["phantoms"], given)}
     for kidney in dict.fromkeys(c.kidney for c in cases):
-        these: list[Case] = [c for c in cases if c.kidney == kidney]
-        vid = vid_for(these[0], settings["views"], work, data)
+        vid = vid_for(first[kidney], settings["views"], work, data)
         lumen = LumenDistance.from_kidney(vid.kidney)
-        for case in these:
+        there, around = vid, lumen
+        if settings["other"]:
+            following = kidneys[(kidneys.index(kidney) + 1) % len(kidneys)]
+            there = vid_for(first[following], settings["views"], work, data)
+            around = LumenDistance.from_kidney(there.kidney)
+        for case in (c for c in cases if c.kidney == kidney):
             seen = flown(case, vid, lumen, settings["pictures"], work)
             for choice in choices:
-                yield choice, tracked(seen, vid, lumen, choice)
+                yield choice, tracked(seen, there, around, choice)
             print(f"{case.name}: severity {case.severity:g}", file=sys.stderr, flush=True)
 
 
