@@ -11,7 +11,7 @@ GL_PACKAGES := libegl1 libgl1-mesa-dri
 DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl
 
-.PHONY: demo test docs check setup setup-dev system system-dev clean
+.PHONY: demo test docs check sbom setup setup-dev system system-dev clean
 
 demo: setup
 	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
@@ -30,6 +30,12 @@ check: setup-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/hadolint Containerfile
+	@$(BIN)/pip-audit --skip-editable --progress-spinner off \
+	  || echo "pip-audit: known holes above, or the registry was not reached; look before a release"
+
+# What the program is made of, as CycloneDX; nothing is asked of any registry.
+sbom: setup-dev
+	$(BIN)/cyclonedx-py environment $(BIN)/python --output-file sbom.json
 
 setup: system $(VENV)/.installed
 

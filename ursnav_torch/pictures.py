@@ -1,12 +1,15 @@
 """Picture files: their size is known before they are decoded, so that 1 MB of a file cannot take 2 GB of memory."""
 
+import contextlib
 import io
+import re
 import warnings
 
 import cv2
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from ursnav_torch.errors import InputError
 
@@ -14,6 +17,8 @@ from ursnav_torch.errors import InputError
 MOST_PIXELS = 40_000_000
 #: MOST_PIXELS in color, 16 bits each, not compressed, and room for a file's further data.
 MOST_BYTES = 256 << 20
+#: The kinds of files that are taken for pictures, in Pillow's words.
+_FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
 
 
 def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
@@ -26,9 +31,14 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
     Raises:
         InputError: the picture has more than `MOST_PIXELS` pixels.
     """
-    if not encoded:
+    pixels = _declared_pixels(encoded)
+    if pixels is None:
         return None
-    check_picture_size(encoded, where)
+    if pixels > MOST_PIXELS:
+        raise InputError(
+            f"The picture {where} has {pixels / 1e6:.0f} megapixels; at most {MOST_PIXELS / 1e6:.0f} are read. Is it "
+            "a picture of the scope?"
+        )
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         return cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -38,25 +48,20 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
         cv2.utils.logging.setLogLevel(level)
 
 
-def check_picture_size(encoded: bytes, where: str) -> None:
-    """Refuse a picture by the size that its header declares; nothing is decoded.
+def _declared_pixels(encoded: bytes) -> int | None:
+    """Width times height that a file's header declares, None where no reader of headers finds any.
 
-    What only OpenCV can read (some TIFF files) is left to OpenCV's own limit, see ``ursnav_torch/__init__.py``.
-
-    Raises:
-        InputError: more than `MOST_PIXELS` pixels.
+    What they do not know, OpenCV is not asked to decode: it knows rarer formats, some of which have no limits.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns from 89 megapixels on
-            width, height = Image.open(io.BytesIO(encoded)).size
-    except Image.DecompressionBombError:
-        width, height = 0, 0
-    except Exception:  # Pillow's readers raise whatever a damaged header makes them stumble over
-        return
-    if width * height > MOST_PIXELS or width == 0:
-        size = f"{width} x {height} px" if width else "more than 178 megapixels"
-        raise InputError(
-            f"The picture {where} has {size}; at most {MOST_PIXELS / 1e6:.0f} megapixels are read. Is it a "
-            "picture of the scope?"
-        )
+    with warnings.catch_warnings(), contextlib.suppress(Exception):  # they raise whatever they stumble over
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        try:
+            with Image.open(io.BytesIO(encoded), formats=_FORMATS) as picture:
+                return int(picture.width * picture.height)
+        except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+            return int("".join(re.findall(r"\((\d+) pixels\)", str(error)))[:18])
+        except UnidentifiedImageError:  # of the TIFF files Pillow knows the more common only
+            with tifffile.TiffFile(io.BytesIO(encoded)) as file:
+                page = file.pages.first
+                return int(page.imagewidth) * int(page.imagelength)
+    return None
