@@ -16,9 +16,9 @@ def row(image: str, calyx: str = "B", accepted: bool = True, error: str = "") ->
 
 ROWS = [
     (row("right.png"), "B", "yes", "sure right", "B"),
-    (row("wrong.png"), "<A>", "no", "sure wrong", "B (wrong: <A>)"),
+    (row("wrong.png"), "<A>", "no", "sure wrong", "B, wrong: it is <A>"),
     (row("lucky.png", accepted=False), "B", "unsure", "unsure right", "unsure, perhaps B"),
-    (row("none.png", calyx=""), "B", "no", "sure wrong", "no calyx (passage) (wrong: B)"),
+    (row("none.png", calyx=""), "B", "no", "sure wrong", "no calyx (passage), wrong: it is B"),
     (row("passage.png", calyx=""), "", "yes", "sure right", "no calyx (passage)"),
     (row("unknown.png"), None, "yes", "sure", "B"),
     (row("black.png", error="all black"), "B", "no", "failed", "not located"),
@@ -35,7 +35,7 @@ def test_an_answer_in_words(cells: dict, truth: str | None, tone: str, states: s
 def test_the_summary_counts_what_is_sure_and_what_is_right() -> None:
     said = summary_words([answer_words(cells, truth) for cells, truth, *_ in ROWS])
     assert said == (
-        "5 are named surely, 1 with doubt, 1 could not be located. Of 6 whose calyx is known 3 are right; of 4 sure 2."
+        "5 are named surely, 1 with doubt, 1 could not be located. Of 6 whose calyx is known 3 are right; of the 4 sure ones 2."
     )
     assert "known" not in summary_words([answer_words(row("a"), None)])
 
@@ -55,7 +55,7 @@ def test_filters_offer_what_there_is_and_count_it() -> None:
 def page(entries: list[dict]) -> str:
     filters = filters_of(entries, {"B": "c1"})
     return render_page(
-        "matches.html.j2", title="T", summary="S", filters=filters, entries=entries, has_truth=True
+        "matches.html.j2", title="T", summary="S", filters=filters, entries=entries, has_truth=True, has_sets=True
     )  # fmt: skip
 
 
@@ -63,7 +63,8 @@ def test_wrong_is_red_in_gallery_table_and_headline_and_names_are_escaped() -> N
     entry = answer_words(row("<script>.png"), "<A>") | {"group": "c1", "figures": [], "others": []}
     text = page([entry])
     assert text.count('class="no"') == 3 and "yes" not in re.findall(r'class="(yes|no)"', text)
-    assert "<script>" not in text and "&lt;script&gt;.png" in text and "wrong: &lt;A&gt;" in text
+    assert "color: inherit" not in text, "the gallery shows the answer's color, too"
+    assert "<script>" not in text and "&lt;script&gt;.png" in text and "wrong: it is &lt;A&gt;" in text
     assert text.index('class="gallery"') < text.index("<table>") < text.index("<article")
 
 

@@ -26,7 +26,7 @@ def answer_words(row: Mapping[str, Any], truth: str | None) -> dict[str, Any]:
     name = calyx or "no calyx (passage)"
     answer = "not located" if not located else name if sure else f"unsure, perhaps {name}"
     if wrong:
-        answer += f" (wrong: {truth or 'no calyx'})"
+        answer += f", wrong: it is {truth or 'no calyx'}"
     states = {"failed": not located, "sure": sure, "unsure": located and not sure, "right": right, "wrong": wrong}
     return {
         "image": str(row["image"]),
@@ -46,7 +46,7 @@ def summary_words(entries: Sequence[Mapping[str, Any]]) -> str:
 
     Example:
         >>> summary_words([answer_words({"image": "a", "calyx": "B", "accepted": True, "confidence": 1.0}, "B")])
-        '1 is named surely, 0 with doubt, 0 could not be located. Of 1 whose calyx is known 1 is right; of 1 sure 1.'
+        '1 is named surely, 0 with doubt, 0 could not be located. Of 1 whose calyx is known 1 is right; of the 1 sure ones 1.'
     """
     n = {state: sum(state in e["states"].split() for e in entries) for state in _STATES}
     said = f"{n['sure']} {_be(n['sure'])} named surely, {n['unsure']} with doubt, {n['failed']} could not be located."
@@ -56,7 +56,7 @@ def summary_words(entries: Sequence[Mapping[str, Any]]) -> str:
     sure = [e["states"].split() for e in entries if e["truth_words"] and "sure" in e["states"].split()]
     sure_right = sum("right" in states for states in sure)
     right = f"{n['right']} {_be(n['right'])} right"
-    return f"{said} Of {known} whose calyx is known {right}; of {len(sure)} sure {sure_right}."
+    return f"{said} Of {known} whose calyx is known {right}; of the {len(sure)} sure ones {sure_right}."
 
 
 def filters_of(entries: Sequence[Mapping[str, Any]], groups: Mapping[str, str]) -> list[dict[str, Any]]:

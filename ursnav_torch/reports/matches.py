@@ -67,6 +67,7 @@ class MatchReport:
             filters=filters_of(entries, groups),
             entries=entries,
             has_truth=any(e["truth_words"] for e in entries),
+            has_sets=any(e["calyces"] for e in entries),
         )
         path = self.folder / "index.html"
         path.write_text(page, encoding="utf-8")

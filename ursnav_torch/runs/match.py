@@ -67,7 +67,7 @@ def match_images(
             page = None if report is None else _page(whole.staged(report), localizer, journal)
             rows = _located(localizer, base, paths, journal, page, progress, truth or {})
             if page is not None:
-                page.finish(f"{len(rows)} pictures of {base.name} were searched among {len(localizer.vid)} views.")
+                page.finish(f"{len(rows)} pictures of “{base.name}” were searched among {len(localizer.vid)} views.")
             write_csv(whole.staged(out), MATCH_COLUMNS, rows)
             whole.outcome = rows
     return list(whole.outcome)
