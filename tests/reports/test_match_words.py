@@ -35,7 +35,8 @@ def test_an_answer_in_words(cells: dict, truth: str | None, tone: str, states: s
 def test_the_summary_counts_what_is_sure_and_what_is_right() -> None:
     said = summary_words([answer_words(cells, truth) for cells, truth, *_ in ROWS])
     assert said == (
-        "5 are named surely, 1 with doubt, 1 could not be located. Of 6 whose calyx is known 3 are right; of the 4 sure ones 2."
+        "5 are named surely, 1 with doubt, 1 could not be located. "
+        "Of 6 whose calyx is known 3 are right; of the 4 sure ones 2."
     )
     assert "known" not in summary_words([answer_words(row("a"), None)])
 

@@ -45,8 +45,8 @@ def summary_words(entries: Sequence[Mapping[str, Any]]) -> str:
     """How many are sure, unsure and not located, and how many of those with a known truth are right.
 
     Example:
-        >>> summary_words([answer_words({"image": "a", "calyx": "B", "accepted": True, "confidence": 1.0}, "B")])
-        '1 is named surely, 0 with doubt, 0 could not be located. Of 1 whose calyx is known 1 is right; of the 1 sure ones 1.'
+        >>> summary_words([answer_words({"image": "a", "calyx": "B", "accepted": True, "confidence": 1.0}, None)])
+        '1 is named surely, 0 with doubt, 0 could not be located.'
     """
     n = {state: sum(state in e["states"].split() for e in entries) for state in _STATES}
     said = f"{n['sure']} {_be(n['sure'])} named surely, {n['unsure']} with doubt, {n['failed']} could not be located."
