@@ -194,9 +194,8 @@ class Navigator:
                 self.tracker.reset()
             job, begun = seen.job, time.monotonic()
             try:
-                tracked = self.tracker.follow(
-                    seen.features, job.frame.stamp.t_mono_s, job.sensor, odometry=job.odometry
-                )
+                t_s = job.frame.stamp.t_mono_s
+                tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry)
             except Exception as error:
                 self.tracker.reset()  # whatever it was, it must not last
                 self._fail(job, error)
