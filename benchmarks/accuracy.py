@@ -29,9 +29,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._kidneys import STYLES, Still, data_folder, stills, vid_of
-from benchmarks._results import Report, overrides
-from benchmarks._statistics import auroc, calibration_error, wilson
+from benchmarks.shared.kidneys import STYLES, Still, data_folder, stills, vid_of
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.statistics import auroc, calibration_error, wilson
 from ursnav_torch.errors import FeatureError, MissingExtraError, UrsnavError
 from ursnav_torch.features import ThesisSettings, read_image
 from ursnav_torch.geometry import angle_between

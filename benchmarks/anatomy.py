@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.files import no_progress
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
 from ursnav_torch.kidney.grid import LumenGrid, distance_to_surface

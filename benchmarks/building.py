@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney

@@ -19,9 +19,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from benchmarks._results import overrides
 from benchmarks.disturbing.children import kill, results, said, start, wait
 from benchmarks.disturbing.jobs import Job, jobs, make_inputs
+from benchmarks.shared.results import overrides
 
 SETTINGS = {"kills": 20, "others": 4, "seed": 0, "only": "", "minutes": 0.0}
 _REFUSALS = ("is being written by", "exists already")

@@ -17,10 +17,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks._flights import CHOOSING, JUDGING, flown, population, vid_for
-from benchmarks._results import Report, overrides
-from benchmarks._track_records import Choice, Record, tracked
-from benchmarks._track_scores import add_refusals, add_scores
+from benchmarks.shared.flights import CHOOSING, JUDGING, flown, population, vid_for
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.track_records import Choice, Record, tracked
+from benchmarks.shared.track_scores import add_refusals, add_scores
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import LumenDistance
 

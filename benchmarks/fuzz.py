@@ -16,10 +16,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks._results import overrides
 from benchmarks.fuzzing.discover import Reader, find_readers
 from benchmarks.fuzzing.feed import Feeder, Tally, peak_mb, quiet
 from benchmarks.fuzzing.seeds import make_seeds
+from benchmarks.shared.results import overrides
 
 SETTINGS = {"seconds": 60.0, "seed": 0, "only": "", "number": -1, "keep": "", "most_mb": 1536.0}
 #: Seconds in which one reader is fed before the next one's turn.

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.errors import InputError
 
 SETTINGS = {"rooms": "", "only": "", "keep": False, "out": ""}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from benchmarks.tracking import fly
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import InputError

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._results import Report, overrides
-from benchmarks._statistics import auroc, calibration_error, wilson
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.statistics import auroc, calibration_error, wilson
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.features import DefaultSettings

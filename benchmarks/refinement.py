@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks._results import Report, overrides
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.alignment import EdgePnp, RefinementSettings, Refiner
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import FeatureError

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks._em import OFFSET_MM, Drive, drive_through, readings, rms, simulated_matches
-from benchmarks._kidneys import data_folder
-from benchmarks._results import Report, overrides
+from benchmarks.shared.em import OFFSET_MM, Drive, drive_through, readings, rms, simulated_matches
+from benchmarks.shared.kidneys import data_folder
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError, RegistrationError
 from ursnav_torch.geometry import Array, apply, inverse

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks import _shapes
-from benchmarks._results import Report, overrides
+from benchmarks.shared import shapes as drawn_shapes
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.matching import Matching, Nearest, Occupancy, PairCost, Screen, ShapeContext, build_screen
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
     report = Report("screening", {k: v for k, v in settings.items() if k != "out"})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "screen.safetensors"
-        views = _shapes.edge_views(settings["views"], 100, settings["seed"])
+        views = drawn_shapes.edge_views(settings["views"], 100, settings["seed"])
         start = time.perf_counter()
         points = torch.from_numpy(views).float()
         mask = torch.ones(points.shape[:2], dtype=torch.bool)
@@ -68,7 +68,7 @@ def recall(
     rng = np.random.default_rng(5)
     ranks, finals, first, both = [], [], [], []
     for view, number in zip(asked, numbers, strict=True):
-        seen = _shapes.observe(view, rng, keep, clutter) + rng.uniform(-shift, shift, 2)
+        seen = drawn_shapes.observe(view, rng, keep, clutter) + rng.uniform(-shift, shift, 2)
         query = torch.from_numpy(seen).float()
         start = time.perf_counter()
         short = screen.shortlist(query, count=100)

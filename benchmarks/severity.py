@@ -16,8 +16,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks._results import Report, overrides
-from benchmarks._statistics import wilson
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.statistics import wilson
 from ursnav_torch.errors import FeatureError, UrsnavError
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization import Localizer

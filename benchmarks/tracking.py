@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._kidneys import vid_of
-from benchmarks._results import Report, overrides, resident_mb
+from benchmarks.shared.kidneys import vid_of
+from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
 from ursnav_torch.exploration.coverage import Coverage

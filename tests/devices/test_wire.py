@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.devices import Stamp
 from ursnav_torch.devices.igtl.messages import unpack_position, unpack_transform
-from ursnav_torch.devices.wire import FARTHEST_MM, SensorPose, Tool, number, numbers
+from ursnav_torch.devices.wire import FARTHEST_MM, SensorPose, Tool, device_number, device_numbers
 from ursnav_torch.errors import DeviceProtocolError
 
 NOW = Stamp(0, 0.0, 0.0)
@@ -72,11 +72,11 @@ def test_a_tool_knows_its_roll_only_with_six_degrees_of_freedom():
 @pytest.mark.parametrize(("text", "message"), [("1.2.3", "must be a number"), ("nan", "from 0 to 10"), ("11", "to 10")])
 def test_numbers_in_texts_are_refused_with_their_name(text, message):
     with pytest.raises(DeviceProtocolError, match=f"The setting .*{message}"):
-        number(text, "The setting $30", 0, 10)
+        device_number(text, "The setting $30", 0, 10)
 
 
 def test_a_message_with_other_things_than_numbers_is_refused():
-    assert numbers([1, math.nan, "x", 1e308, 10**400], "axes") == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert device_numbers([1, math.nan, "x", 1e308, 10**400], "axes") == [1.0, 0.0, 0.0, 0.0, 0.0]
     for wrong in ("abc", None, [0] * 65):
         with pytest.raises(DeviceProtocolError, match="axes must be a list"):
-            numbers(wrong, "axes")
+            device_numbers(wrong, "axes")

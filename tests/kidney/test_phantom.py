@@ -4,9 +4,9 @@ import pytest
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.kidney.grid import LumenGrid
+from ursnav_torch.kidney.phantom.implicit import plan_surface
 from ursnav_torch.kidney.phantom.plan import draw_plan
 from ursnav_torch.kidney.phantom.shapes import Outline
-from ursnav_torch.kidney.phantom.surface import plan_surface
 
 
 @pytest.mark.parametrize("seed", [1, 3])

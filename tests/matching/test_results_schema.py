@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._results import FOLDER, Report, describe_run, overrides, time_interleaved, validate
+from benchmarks.shared.results import FOLDER, Report, describe_run, overrides, time_interleaved, validate
 from ursnav_torch.errors import InputError
 
 

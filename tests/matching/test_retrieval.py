@@ -4,9 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks._outlines import mirrored, outline, read_silhouettes, silhouette_mask
-from benchmarks._rerank import diffuse
-from benchmarks._shapes import silhouettes
 from benchmarks.retrieval import (
     bulls_eye,
     descriptors,
@@ -15,6 +12,9 @@ from benchmarks.retrieval import (
     nearest_distances,
     ordered_distances,
 )
+from benchmarks.shared.outlines import mirrored, outline, read_silhouettes, silhouette_mask
+from benchmarks.shared.rerank import diffuse
+from benchmarks.shared.shapes import silhouettes
 from ursnav_torch.errors import InputError
 
 

@@ -23,7 +23,7 @@ from ursnav_torch.exploration.coverage import INSPECTED, CalyxCoverage
 from ursnav_torch.features import EdgePoints
 from ursnav_torch.kidney import read_calyces
 from ursnav_torch.navigation import Guidance, NavigationState, Navigator, run_navigation
-from ursnav_torch.page import ExplorePage, LivePage, Pictures, check_address, web_page
+from ursnav_torch.page import ExplorePage, LivePage, PagePictures, check_address, web_page
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.page.live import state_values
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
@@ -91,7 +91,7 @@ def test_a_path_is_parted_at_jumps_and_edges_are_strokes_along_them():
 def test_convention_the_virtual_picture_stands_as_the_scopes_does(vid, renderer):
     """The same pose gives the same picture on both sides, not mirrored, not turned."""
     image = renderer.render(vid.T_kidney_camera[3]).image
-    virtual = Pictures(vid).virtual(vid.T_kidney_camera[3]).astype(float).mean(axis=2)
+    virtual = PagePictures(vid).virtual(vid.T_kidney_camera[3]).astype(float).mean(axis=2)
     shown = cv2.resize(image, virtual.shape[::-1]).astype(float)
 
     def alike(a, b):
@@ -102,7 +102,7 @@ def test_convention_the_virtual_picture_stands_as_the_scopes_does(vid, renderer)
 
 
 def test_every_calyx_has_a_thumbnail(vid):
-    pictures = Pictures(vid)
+    pictures = PagePictures(vid)
     shown = [pictures.thumbnail(i) for i in range(len(vid.kidney.calyces))]
     assert all(picture.shape == (125, 125, 3) and picture.std() > 5 for picture in shown)
     assert not any(np.array_equal(a, b) for a, b in itertools.pairwise(shown))
@@ -268,8 +268,8 @@ def test_on_a_slow_machine_drawings_wait(vid, phantom_lumen, monkeypatch):
 
 
 def test_views_of_a_vid_stored_without_pictures_are_drawn_again(vid, renderer, tmp_path):
-    bare = Pictures(replace(vid, folder=tmp_path))
-    drawn, stored = bare.view(3).astype(float), Pictures(vid).view(3)
+    bare = PagePictures(replace(vid, folder=tmp_path))
+    drawn, stored = bare.view(3).astype(float), PagePictures(vid).view(3)
     stored = cv2.resize(stored, drawn.shape[1::-1], interpolation=cv2.INTER_AREA).astype(float)
     assert np.corrcoef(drawn.ravel(), stored.ravel())[0, 1] > 0.97
 

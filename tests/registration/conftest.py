@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks._em import Drive, drive_through
+from benchmarks.shared.em import Drive, drive_through
 from ursnav_torch.kidney import Kidney
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._em import OFFSET_MM, Drive, drive_through
+from benchmarks.shared.em import OFFSET_MM, Drive, drive_through
 from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
 from ursnav_torch.geometry import apply, inverse

@@ -9,7 +9,7 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from benchmarks._em import Drive
+from benchmarks.shared.em import Drive
 from ursnav_torch.errors import InputError, RegistrationError, ShapeError
 from ursnav_torch.geometry import apply, inverse, transform_from
 from ursnav_torch.kidney import Kidney

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_landmarks import EM, KIDNEY
 
-from benchmarks._em import OFFSET_MM, readings, simulated_matches
+from benchmarks.shared.em import OFFSET_MM, readings, simulated_matches
 from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.geometry import apply, look_along, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance

@@ -10,10 +10,17 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
 from ursnav_torch._runner import config_dir
-from ursnav_torch.devices import Camera, Gamepad, Light, Output, Robot, Tracker
+from ursnav_torch.devices import CameraDevice, EmTracker, Gamepad, Lamp, Output, Robot
 from ursnav_torch.session import Replay, Snapshot
 
-CONTRACTS = {"camera": Camera, "tracker": Tracker, "robot": Robot, "light": Light, "gamepad": Gamepad, "output": Output}
+CONTRACTS = {
+    "camera": CameraDevice,
+    "tracker": EmTracker,
+    "robot": Robot,
+    "light": Lamp,
+    "gamepad": Gamepad,
+    "output": Output,
+}
 CHOICES = [
     (kind, path.stem) for kind in CONTRACTS for path in sorted((Path(config_dir()) / "hardware" / kind).glob("*.yaml"))
 ]

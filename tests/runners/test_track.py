@@ -14,7 +14,7 @@ import pytest
 from flights import flight
 
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
-from ursnav_torch.devices import Camera, Frame, SourceAtEndError, Stamp
+from ursnav_torch.devices import CameraDevice, Frame, SourceAtEndError, Stamp
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.files import write_csv
 from ursnav_torch.kidney import Kidney
@@ -242,7 +242,7 @@ def test_an_interruption_keeps_the_rows_so_far(vid: Vid, folder: Path, tmp_path:
 
 @pytest.mark.parametrize("breaks", [False, True])
 def test_a_camera_is_closed_at_its_end_and_after_an_error(breaks: bool) -> None:
-    class Three(Camera):
+    class Three(CameraDevice):
         """Three pictures, then its end, or a broken wire."""
 
         left = 3

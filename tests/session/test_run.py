@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.devices import (
+    EmTracker,
     Frame,
     Gamepad,
     Note,
@@ -19,7 +20,6 @@ from ursnav_torch.devices import (
     Output,
     RobotLight,
     SourceAtEndError,
-    Tracker,
     TrackerSample,
 )
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
@@ -202,7 +202,7 @@ def test_an_observer_that_cannot_go_on_ends_the_threads_and_disarms(tmp_path):
         assert not [t for t in threading.enumerate() if t.name.startswith("session-")]
 
 
-class Shaky(Tracker):
+class Shaky(EmTracker):
     """A tracker that falls silent, then is unplugged, then comes back."""
 
     def __init__(self):

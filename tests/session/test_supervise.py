@@ -4,13 +4,13 @@ import threading
 
 import pytest
 
-from ursnav_torch.devices import CommandSample, Gamepad, Note, OperatorInput, SourceAtEndError, Tracker, TrackerSample
+from ursnav_torch.devices import CommandSample, EmTracker, Gamepad, Note, OperatorInput, SourceAtEndError, TrackerSample
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError
 from ursnav_torch.session import Live, Rig, Summary, run_session, supervise
 from ursnav_torch.session.supervise import Supervisor
 
 
-class Script(Tracker):
+class Script(EmTracker):
     """Does what it is told, reading by reading: an exception is raised, a number is a sample of that frame."""
 
     def __init__(self, *steps, refusals=()):

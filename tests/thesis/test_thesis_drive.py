@@ -10,18 +10,18 @@ from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.simulation import World, make_twin
 from ursnav_torch.thesis import ProtocolSettings
-from ursnav_torch.thesis.drive import KEEP_EVERY, RATE_HZ, Drive, choose_pictures, drive_robot
+from ursnav_torch.thesis.drive import KEEP_EVERY, RATE_HZ, RobotDrive, choose_pictures, drive_robot
 
 SETTINGS = ProtocolSettings()
 
 
 @pytest.fixture(scope="module")
-def drive(phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer) -> Drive:
+def drive(phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer) -> RobotDrive:
     return drive_robot(make_twin(World(phantom, renderer), lumen=phantom_lumen), phantom, SETTINGS)
 
 
 def test_reaches_the_calyces_inside_the_lumen_and_within_its_speed(
-    drive: Drive, phantom: Kidney, phantom_lumen: LumenDistance
+    drive: RobotDrive, phantom: Kidney, phantom_lumen: LumenDistance
 ) -> None:
     assert set(drive.visited) == {c.name for c in phantom.calyces}
     T = drive.T_kidney_camera
@@ -32,14 +32,14 @@ def test_reaches_the_calyces_inside_the_lumen_and_within_its_speed(
 
 
 def test_the_same_drive_twice(
-    drive: Drive, phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer
+    drive: RobotDrive, phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer
 ) -> None:
     again = drive_robot(make_twin(World(phantom, renderer), lumen=phantom_lumen), phantom, SETTINGS)
     np.testing.assert_array_equal(again.T_kidney_camera, drive.T_kidney_camera)
 
 
 def test_pictures_show_their_calyx_from_the_right_distance(
-    drive: Drive, phantom: Kidney, phantom_lumen: LumenDistance
+    drive: RobotDrive, phantom: Kidney, phantom_lumen: LumenDistance
 ) -> None:
     rows, calyx = choose_pictures(drive, phantom, phantom_lumen, SETTINGS)
     T = drive.T_kidney_camera[rows]
@@ -52,7 +52,7 @@ def test_pictures_show_their_calyx_from_the_right_distance(
 
 
 def test_a_strict_operator_takes_better_aimed_pictures(
-    drive: Drive, phantom: Kidney, phantom_lumen: LumenDistance
+    drive: RobotDrive, phantom: Kidney, phantom_lumen: LumenDistance
 ) -> None:
     def aside(aim_deg: float) -> float:
         rows, calyx = choose_pictures(drive, phantom, phantom_lumen, replace(SETTINGS, aim_deg=aim_deg))

@@ -1,14 +1,15 @@
 """The devices: camera, EM tracker, robot, light and gamepad, each with one contract and several drivers."""
 
 from ursnav_torch.devices.base import (
-    Camera,
+    CameraDevice,
     CommandSample,
     Device,
+    EmTracker,
     Frame,
     Gamepad,
     JointRates,
     Joints,
-    Light,
+    Lamp,
     LightSample,
     Note,
     OperatorInput,
@@ -17,7 +18,6 @@ from ursnav_torch.devices.base import (
     SourceAtEndError,
     Stamp,
     Stamper,
-    Tracker,
     TrackerSample,
 )
 from ursnav_torch.devices.cameras import FolderCamera, OpenCvCamera, VideoCamera
@@ -37,11 +37,12 @@ from ursnav_torch.devices.trackers.openigtlink import OpenIgtlTracker
 from ursnav_torch.devices.trackers.surgery_ndi import SurgeryNdiTracker
 
 __all__ = [
-    "Camera",
+    "CameraDevice",
     "CommandSample",
     "CsvTracker",
     "Device",
     "Drive",
+    "EmTracker",
     "FolderCamera",
     "Frame",
     "Gamepad",
@@ -50,7 +51,7 @@ __all__ = [
     "JointRates",
     "Joints",
     "KeyboardGamepad",
-    "Light",
+    "Lamp",
     "LightSample",
     "Limits",
     "NdiTracker",
@@ -76,7 +77,6 @@ __all__ = [
     "Stamp",
     "Stamper",
     "SurgeryNdiTracker",
-    "Tracker",
     "TrackerSample",
     "VideoCamera",
     "clamp_rates",

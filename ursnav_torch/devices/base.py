@@ -237,7 +237,7 @@ class Device(ABC):
         self.disconnect()
 
 
-class Camera(Device):
+class CameraDevice(Device):
     """A source of pictures."""
 
     @abstractmethod
@@ -251,15 +251,15 @@ class Camera(Device):
         """
 
 
-class Tracker(Device):
+class EmTracker(Device):
     """A source of sensor poses in the EM frame."""
 
     @abstractmethod
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
-        """Wait for the next sample; raises as `Camera.read` does."""
+        """Wait for the next sample; raises as `CameraDevice.read` does."""
 
 
-class Light(Device):
+class Lamp(Device):
     """A lamp that can be dimmed."""
 
     @abstractmethod

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch import camera as lenses
-from ursnav_torch.devices.base import Camera, Frame, SourceAtEndError
+from ursnav_torch.devices.base import CameraDevice, Frame, SourceAtEndError
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.inputs import read_regular
 from ursnav_torch.pictures import MOST_BYTES, decode_picture
@@ -26,7 +26,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 Image = NDArray[np.uint8]
 
 
-class LensCamera(Camera):
+class LensCamera(CameraDevice):
     """A camera that knows its lens.
 
     Args:
@@ -86,7 +86,7 @@ class OpenCvCamera(LensCamera):
         self._first: Frame | None = None
 
     def read(self, timeout_s: float = 1.0) -> Frame:
-        """Wait for the next picture; raises as `Camera.read` does."""
+        """Wait for the next picture; raises as `CameraDevice.read` does."""
         self._check_connected()
         if self._first is not None:
             frame, self._first = self._first, None
@@ -158,7 +158,7 @@ class _PlayedCamera(LensCamera):
         self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> Frame:
-        """Wait for the next picture's time; raises as `Camera.read` does.
+        """Wait for the next picture's time; raises as `CameraDevice.read` does.
 
         Raises:
             InputError: that picture cannot be read or has another size than the calibration; the next call goes on.

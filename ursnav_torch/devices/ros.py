@@ -14,7 +14,7 @@ import cv2
 
 from ursnav_torch.devices.base import Frame, Gamepad, Joints, OperatorInput, Output
 from ursnav_torch.devices.gamepads.mapping import GamepadMapping, MappedInput
-from ursnav_torch.devices.wire import numbers
+from ursnav_torch.devices.wire import device_numbers
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError
 from ursnav_torch.extras import import_extra
 from ursnav_torch.geometry import Array, check_rigid, quaternion_from_transform
@@ -127,8 +127,8 @@ class RosBridge(Output):
 
     def _heard(self, message: dict[str, Any]) -> None:
         try:
-            axes = numbers(message["axes"], "The axes of /joy")
-            buttons = [int(v) for v in numbers(message["buttons"], "The buttons of /joy")]
+            axes = device_numbers(message["axes"], "The axes of /joy")
+            buttons = [int(v) for v in device_numbers(message["buttons"], "The buttons of /joy")]
         except (KeyError, TypeError, DeviceProtocolError) as error:
             logger.warning("%s passed over: %s", JOY[0], error)  # and what was held before grows old
             return

@@ -22,7 +22,7 @@ FARTHEST_MM = 10_000.0
 RIGID = 1e-2
 
 
-def number(text: str, what: str, low: float = -math.inf, high: float = math.inf) -> float:
+def device_number(text: str, what: str, low: float = -math.inf, high: float = math.inf) -> float:
     """A number that a device wrote as text.
 
     Raises:
@@ -103,7 +103,7 @@ class Tool:
         )
 
 
-def numbers(values: Sequence[object], what: str, most: int = 64) -> list[float]:
+def device_numbers(values: Sequence[object], what: str, most: int = 64) -> list[float]:
     """Numbers of a message whose types are the sender's affair; what is not finite counts as 0.
 
     Raises:

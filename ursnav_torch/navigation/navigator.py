@@ -263,11 +263,7 @@ class Navigator:
             logger.warning("%s", WORDS[new_level] or "The machine keeps up again: everything is done.")
         if now - self._logged_s >= LOG_S:
             self._logged_s = now
-            logger.info(
-                "picture %d, ms: waiting %.0f, features %.0f, tracking %.0f, on the bus after %.0f; painting %.0f",
-                job.frame.stamp.sequence,
-                *(1e3 * seconds for seconds in astuple(latency)),
-            )
+            _log(job.frame.stamp.sequence, latency)
 
     def _paint(self) -> None:
         """Count what was seen and find the way on, as often as there is time."""
@@ -298,6 +294,15 @@ class Navigator:
         guidance = self.guide.guidance(T)
 
         self.bus.update(lambda state: _worded(replace(state, guidance=guidance)))
+
+
+def _log(picture: int, latency: Latency) -> None:
+    """Where a picture's time went, as a line of the log."""
+    logger.info(
+        "picture %d, ms: waiting %.0f, features %.0f, tracking %.0f, on the bus after %.0f; painting %.0f",
+        picture,
+        *(1e3 * seconds for seconds in astuple(latency)),
+    )
 
 
 def _believed(tracked: Tracked) -> Array | None:

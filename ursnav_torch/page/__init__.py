@@ -4,14 +4,14 @@ without it everything works the same.
 
 from ursnav_torch.page.explore import ExplorePage, explore_vid
 from ursnav_torch.page.live import LivePage, web_page
-from ursnav_torch.page.pictures import Pictures
+from ursnav_torch.page.pictures import PagePictures
 from ursnav_torch.page.server import PageServer, check_address
 
 __all__ = [
     "ExplorePage",
     "LivePage",
+    "PagePictures",
     "PageServer",
-    "Pictures",
     "check_address",
     "explore_vid",
     "web_page",

@@ -15,7 +15,7 @@ from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.localization import LookAlikes
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.page.commands import Command
-from ursnav_torch.page.pictures import Pictures, jpeg
+from ursnav_torch.page.pictures import PagePictures, jpeg
 from ursnav_torch.page.scene import kidney_bytes
 from ursnav_torch.page.server import PageServer
 from ursnav_torch.rendering import RaycastRenderer, RayScene
@@ -48,7 +48,7 @@ class ExplorePage:
         start = vid.kidney.pelvis_mm
         self.T_kidney_camera = look_along(start, vid.kidney.tips_mm.mean(axis=0) - start)
         self._lock, self.ended = threading.RLock(), threading.Event()
-        self._pictures = Pictures(vid)
+        self._pictures = PagePictures(vid)
         resources: dict[str, tuple[str, Callable[[], bytes]]] = {
             "/kidney.bin": ("application/octet-stream", lambda: kidney_bytes(vid.kidney))
         }

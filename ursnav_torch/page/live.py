@@ -11,7 +11,7 @@ from typing import Any
 from ursnav_torch.devices import Frame
 from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidence_words
 from ursnav_torch.page.commands import Command
-from ursnav_torch.page.pictures import Pictures, jpeg
+from ursnav_torch.page.pictures import PagePictures, jpeg
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
 from ursnav_torch.page.server import PageServer
 from ursnav_torch.session import MOVES, SessionControls
@@ -49,7 +49,7 @@ class LivePage:
         programs: bool = False,
     ) -> None:
         self.navigator, self.controls, self._vid = navigator, controls, navigator.vid
-        self._pictures, self._scale = Pictures(self._vid), self._vid.kidney.scale
+        self._pictures, self._scale = PagePictures(self._vid), self._vid.kidney.scale
         kidney = self._vid.kidney
         resources = {"/kidney.bin": ("application/octet-stream", lambda: kidney_bytes(kidney, navigator.patch_of_face))}
         for i in range(len(kidney.calyces)):

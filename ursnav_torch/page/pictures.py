@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 VIRTUAL_PX = 125
 
 
-class Pictures:
+class PagePictures:
     """Makes the page's pictures, all (H, W, 3) red, green, blue.
 
     Args:

@@ -7,8 +7,8 @@ from ursnav_torch.registration.landmarks import RegistrationWarning, register_la
 from ursnav_torch.registration.readings import readings_in_kidney, recorded_readings
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.rigid import fit_rigid
-from ursnav_torch.registration.surface import register_surface
 from ursnav_torch.registration.touch import picked_points, touched_points
+from ursnav_torch.registration.touched_surface import register_surface
 from ursnav_torch.registration.validation import (
     Comparison,
     Confusion,

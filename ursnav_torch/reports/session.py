@@ -37,7 +37,7 @@ FAR_COSTS = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class DoubtfulMoment:
     """A doubtful stretch of time: from, to, in seconds; the number of a picture in its middle; and why."""
 
     from_s: float
@@ -69,7 +69,7 @@ class SessionFigures:
     best: dict[str, int] = field(default_factory=dict)
     path_mm: float = 0.0
     speed_mm_s: float = 0.0
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[DoubtfulMoment] = field(default_factory=list)
     latency_ms: tuple[float, float] = (0.0, 0.0)
 
 
@@ -175,14 +175,16 @@ def _from_tip(row: dict[str, Any], tip_mm: Array | None) -> float:
     return 0.0 if tip_mm is None else float(np.linalg.norm(tip_mm - [row[c] for c in POSE_COLUMNS[:3]]))
 
 
-def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[Moment]:
+def _doubtful(rows: list[dict[str, Any]], t: Array, frame: NDArray[np.int64]) -> list[DoubtfulMoment]:
     """Stretches without a place, or with one that is not sure."""
     why = [_doubt(row) for row in rows]
     moments, begun = [], 0
     for i in range(1, len(rows) + 1):
         if i == len(rows) or why[i] != why[begun]:
             if why[begun] and t[i - 1] - t[begun] >= DOUBT_S:
-                moments.append(Moment(float(t[begun]), float(t[i - 1]), int(frame[(begun + i - 1) // 2]), why[begun]))
+                moments.append(
+                    DoubtfulMoment(float(t[begun]), float(t[i - 1]), int(frame[(begun + i - 1) // 2]), why[begun])
+                )
             begun = i
     return moments
 

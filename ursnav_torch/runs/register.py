@@ -12,8 +12,8 @@ from ursnav_torch.registration.centerline import register_centerline
 from ursnav_torch.registration.files import read_landmarks
 from ursnav_torch.registration.landmarks import register_landmarks
 from ursnav_torch.registration.result import Registration
-from ursnav_torch.registration.surface import register_surface
 from ursnav_torch.registration.touch import touched_points
+from ursnav_torch.registration.touched_surface import register_surface
 
 
 def landmarks_job(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.columns import TRACK_COLUMNS
-from ursnav_torch.devices import Camera, SourceAtEndError
+from ursnav_torch.devices import CameraDevice, SourceAtEndError
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
@@ -122,7 +122,7 @@ def _tracked(
     return summary, source.live or not interrupted
 
 
-def camera_source(device: Camera, seconds: float | None) -> Source:
+def camera_source(device: CameraDevice, seconds: float | None) -> Source:
     """The pictures of a camera, connected with the first and disconnected after the last, or after an error."""
 
     def read() -> NDArray[np.uint8] | None:

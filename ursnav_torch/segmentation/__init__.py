@@ -6,11 +6,11 @@ its surface is meshed, and from there on it is a kidney like any other. Needs th
 
 from ursnav_torch.segmentation.apart import read_scan
 from ursnav_torch.segmentation.export import write_dicom, write_scan
+from ursnav_torch.segmentation.label_surface import lumen_surface
 from ursnav_torch.segmentation.load import CtKidney, load_ct_kidney, name_kidney, scan_lumen
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import Markup, calyces_from_markups, curves_of, points_of, read_markups
 from ursnav_torch.segmentation.scan import Scan
-from ursnav_torch.segmentation.surface import lumen_surface
 from ursnav_torch.segmentation.synthetic import Patient, place_kidney, synthetic_ct
 from ursnav_torch.segmentation.write import segment_scan, write_stl
 

@@ -17,11 +17,11 @@ from ursnav_torch.kidney.tables import read_calyces
 from ursnav_torch.segmentation.apart import read_scan
 from ursnav_torch.segmentation.contrast import lumen_of_contrast
 from ursnav_torch.segmentation.curves import with_curves
+from ursnav_torch.segmentation.label_surface import lumen_surface
 from ursnav_torch.segmentation.labels import label_counts, lumen_of_label
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import calyces_from_markups, curves_of, read_markups
 from ursnav_torch.segmentation.scan import Scan
-from ursnav_torch.segmentation.surface import lumen_surface
 
 Array = NDArray[np.float64]
 

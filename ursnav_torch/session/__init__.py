@@ -12,7 +12,7 @@ from ursnav_torch.session.record import Recorder
 from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.rig import Rig, build_rig
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
-from ursnav_torch.session.source import Pace, Source
+from ursnav_torch.session.source import EventSource, Pace
 from ursnav_torch.session.status_line import StatusLine
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Console",
     "Control",
     "Event",
+    "EventSource",
     "Live",
     "Observer",
     "Pace",
@@ -31,7 +32,6 @@ __all__ = [
     "Session",
     "SessionControls",
     "Snapshot",
-    "Source",
     "StatusLine",
     "Summary",
     "Worker",

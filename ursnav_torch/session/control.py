@@ -8,7 +8,7 @@ from ursnav_torch.devices.base import (
     CommandSample,
     Gamepad,
     JointRates,
-    Light,
+    Lamp,
     LightSample,
     Note,
     OperatorInput,
@@ -34,7 +34,7 @@ class Control:
     """
 
     def __init__(
-        self, robot: Robot | None, gamepad: Gamepad, light: Light | None = None, light_step: float = 0.1
+        self, robot: Robot | None, gamepad: Gamepad, light: Lamp | None = None, light_step: float = 0.1
     ) -> None:
         self.robot, self.gamepad, self.light, self.light_step = robot, gamepad, light, light_step
         self._level = 1.0

@@ -20,7 +20,7 @@ from ursnav_torch.session.record import Recorder
 from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.rig import Rig, World
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
-from ursnav_torch.session.source import Source
+from ursnav_torch.session.source import EventSource
 
 #: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
 SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
@@ -45,7 +45,7 @@ class SessionControls:
 class Session:
     """An open session: where its events come from, what steers it, and who keeps them."""
 
-    source: Source
+    source: EventSource
     controls: SessionControls
     keepers: tuple[Observer, ...]
 

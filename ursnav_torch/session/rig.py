@@ -9,13 +9,13 @@ from types import TracebackType
 from typing import Any, Self, get_args
 
 from ursnav_torch.devices import (
-    Camera,
+    CameraDevice,
     Device,
+    EmTracker,
     Gamepad,
-    Light,
+    Lamp,
     Output,
     Robot,
-    Tracker,
 )
 from ursnav_torch.errors import DeviceError, InputError
 from ursnav_torch.kidney import Kidney
@@ -29,10 +29,10 @@ PROVIDED: tuple[Any, ...] = (Twin, Kidney, Robot)
 class Rig:
     """A set-up; what it lacks is None. In a ``with`` block all of it is connected, and disconnected at the end."""
 
-    camera: Camera | None = None
-    tracker: Tracker | None = None
+    camera: CameraDevice | None = None
+    tracker: EmTracker | None = None
     robot: Robot | None = None
-    light: Light | None = None
+    light: Lamp | None = None
     gamepad: Gamepad | None = None
     output: Output | None = None
     twin: Twin | None = None

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from ursnav_torch.devices import Frame, Note, TrackerSample
 from ursnav_torch.session.events import Event, Result
-from ursnav_torch.session.source import Source
+from ursnav_torch.session.source import EventSource
 
 #: Sees every event of a session, results included; must be quick.
 Observer = Callable[[Event], None]
@@ -78,7 +78,7 @@ class Summary:
 MOST_FAULTS = 1000
 
 
-def run_session(source: Source, worker: Worker | None = None, observers: Sequence[Observer] = ()) -> Summary:
+def run_session(source: EventSource, worker: Worker | None = None, observers: Sequence[Observer] = ()) -> Summary:
     """Work through a session: every event to all observers, and to the worker, whose results are events, too.
 
     With a worker, the results of a replayed session are left out: they are made anew.

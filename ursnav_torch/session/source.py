@@ -23,7 +23,7 @@ class Pace:
     patient: bool = False
 
 
-class Source(Protocol):
+class EventSource(Protocol):
     """Gives out events until it ends or is stopped."""
 
     @property

@@ -7,7 +7,7 @@ import time
 from typing import Protocol
 
 
-class Board(Protocol):
+class SimulatedBoard(Protocol):
     """What a simulated board does: bytes in, bytes out, and time passing."""
 
     def handle(self, data: bytes) -> bytes:
@@ -21,7 +21,7 @@ class SimulatedPort:
     and the baud rate do not get through a pseudo-terminal.
     """
 
-    def __init__(self, board: Board, period_s: float = 0.005) -> None:
+    def __init__(self, board: SimulatedBoard, period_s: float = 0.005) -> None:
         import tty  # here, so that what only replays can be imported where there is none
 
         self.board = board

@@ -18,7 +18,7 @@ LONGEST_S = 900.0
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class RobotDrive:
     """Where the scope was, ten times a second.
 
     Attributes:
@@ -32,7 +32,7 @@ class Drive:
     visited: tuple[str, ...]
 
 
-def drive_robot(twin: Twin, kidney: Kidney, settings: ProtocolSettings) -> Drive:
+def drive_robot(twin: Twin, kidney: Kidney, settings: ProtocolSettings) -> RobotDrive:
     """Steer the scope into every calyx and out again, in simulated time.
 
     The joints follow the operator's commands within the robot's limits, as its controller lets them; slack, walls and
@@ -46,7 +46,7 @@ def drive_robot(twin: Twin, kidney: Kidney, settings: ProtocolSettings) -> Drive
         if cycle % KEEP_EVERY == 0:
             poses.append(twin.pose())
             times.append(cycle / RATE_HZ)
-    return Drive(np.array(poses), np.array(times), tuple(pilot_input.pilot.visited))
+    return RobotDrive(np.array(poses), np.array(times), tuple(pilot_input.pilot.visited))
 
 
 class _Driver:
@@ -76,7 +76,7 @@ class _Driver:
 
 
 def choose_pictures(
-    drive: Drive, kidney: Kidney, lumen: LumenDistance, settings: ProtocolSettings
+    drive: RobotDrive, kidney: Kidney, lumen: LumenDistance, settings: ProtocolSettings
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of the drive (M,) at which the operator takes pictures, and the calyx (M,) that each observes.
 

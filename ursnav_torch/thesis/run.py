@@ -24,8 +24,8 @@ from ursnav_torch.localization import Localizer, learn_confidence
 from ursnav_torch.registration import Registration, RegistrationWarning, register_landmarks
 from ursnav_torch.runs.validate import Verdicts, judge_matches, verdict_report
 from ursnav_torch.simulation import EmField, World, make_twin
-from ursnav_torch.thesis.drive import Drive, choose_pictures, drive_robot
-from ursnav_torch.thesis.series import Matched, Pictures, draw_pictures, match_pictures
+from ursnav_torch.thesis.drive import RobotDrive, choose_pictures, drive_robot
+from ursnav_torch.thesis.series import DrawnPictures, Matched, draw_pictures, match_pictures
 from ursnav_torch.thesis.settings import ProtocolSettings
 from ursnav_torch.thesis.touch import find_views, read_em, touch_landmarks
 from ursnav_torch.thesis.views import hand_collected, simulation_poses
@@ -77,7 +77,7 @@ class Outcome:
     reference: NDArray[np.int64]
     T_reference: Array
     verdicts: Verdicts
-    drive: Drive
+    drive: RobotDrive
 
 
 def perform(
@@ -191,7 +191,7 @@ def _write_pairs(path: Path, kidney_mm: Array, em_mm: Array) -> None:
     write_csv(path, LANDMARK_COLUMNS, rows)
 
 
-def _read_sensor(em: EmField, pictures: Pictures) -> Array:
+def _read_sensor(em: EmField, pictures: DrawnPictures) -> Array:
     """Readings (N, 6), position and axis, of the sensor behind the camera; written to ``em.csv``."""
     sensor = pictures.T_kidney_camera.copy()
     sensor[:, :3, 3] = apply(sensor, np.broadcast_to(em.sensor_offset_mm, (len(sensor), 3)))
@@ -205,7 +205,7 @@ def _read_sensor(em: EmField, pictures: Pictures) -> Array:
 
 
 def _look_up(
-    pictures: Pictures, readings: Array, settings: ProtocolSettings, work: Path, rng: np.random.Generator
+    pictures: DrawnPictures, readings: Array, settings: ProtocolSettings, work: Path, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Array]:
     """Which phantom pictures (K,) serve as references, and where (K, 4, 4) a hand found their view (§4.5)."""
     seen = np.flatnonzero(np.isfinite(readings[:, 0]))

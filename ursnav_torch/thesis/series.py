@@ -21,7 +21,7 @@ RESULT_COLUMNS = (*MATCH_COLUMNS, "points")
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class DrawnPictures:
     """Pictures in a folder's ``images/``.
 
     Attributes:
@@ -49,7 +49,7 @@ class Matched:
         right: (N,) whether the calyx is right.
     """
 
-    pictures: Pictures
+    pictures: DrawnPictures
     rows: list[dict[str, Any]]
     locations: list[Location | None]
     right: NDArray[np.bool_]
@@ -67,7 +67,7 @@ def draw_pictures(
     vid: Vid,
     preset: str,
     rng: np.random.Generator,
-) -> Pictures:
+) -> DrawnPictures:
     """Draw pictures with the faults of a sensor preset, drawn anew for each; write them and ``truth.csv``."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     names, count = [], dict.fromkeys(range(len(vid.kidney.calyces)), 0)
@@ -82,10 +82,10 @@ def draw_pictures(
         for name, c, cell in zip(names, calyx.tolist(), cells, strict=True)
     ]
     write_csv(folder / "truth.csv", TRUTH_COLUMNS, truth)
-    return Pictures(folder, tuple(names), calyx, T_kidney_camera)
+    return DrawnPictures(folder, tuple(names), calyx, T_kidney_camera)
 
 
-def match_pictures(localizer: Localizer, pictures: Pictures, progress: Progress) -> Matched:
+def match_pictures(localizer: Localizer, pictures: DrawnPictures, progress: Progress) -> Matched:
     """Locate every picture and write ``matches.csv``."""
     paths = [pictures.folder / "images" / name for name in pictures.names]
     rows: list[dict[str, Any]] = []

@@ -16,7 +16,7 @@ from ursnav_torch.devices.robots.kinematics import Drive
 from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
 from ursnav_torch.devices.robots.safety import STOPPED, Limits
 from ursnav_torch.devices.serial_link import SerialLink
-from ursnav_torch.devices.wire import FARTHEST_MM, number
+from ursnav_torch.devices.wire import FARTHEST_MM, device_number
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import Array
 
@@ -262,7 +262,7 @@ class GrblRobot(Robot):
         deadline = time.monotonic() + 1.0
         while (line := self._checked_line(deadline)) != "ok":
             if (found := SETTING.fullmatch(line)) and int(found[1]) in NEEDED:
-                settings[int(found[1])] = number(found[2], f"{self.port}: GRBL's setting ${found[1]}", 0.0, 1e9)
+                settings[int(found[1])] = device_number(found[2], f"{self.port}: GRBL's setting ${found[1]}", 0.0, 1e9)
         if missing := NEEDED - settings.keys():
             raise DeviceProtocolError(f"{self.port}: GRBL did not tell its settings {sorted(missing)}.")
         for n in NEEDED - {13, 32}:
@@ -302,7 +302,7 @@ class GrblRobot(Robot):
             raise DeviceProtocolError(f"{self.port}: unreadable status {line!r}; GRBL needs $10=1 (MPos).")
         self._reported_s = time.monotonic()
         what = f"{self.port}: a position in {line!r}"
-        return found[1], np.array([number(word, what, -FARTHEST_MM, FARTHEST_MM) for word in words[:3]])
+        return found[1], np.array([device_number(word, what, -FARTHEST_MM, FARTHEST_MM) for word in words[:3]])
 
     def _ask(self, command: str) -> None:
         """Send a line and wait for its ``ok``."""

@@ -1,11 +1,11 @@
 """The LED that hangs on the robot's controller."""
 
-from ursnav_torch.devices.base import Light, LightSample
+from ursnav_torch.devices.base import Lamp, LightSample
 from ursnav_torch.devices.robots.robot import Robot
 from ursnav_torch.errors import InputError
 
 
-class RobotLight(Light):
+class RobotLight(Lamp):
     """The LED on the robot's own controller; connected as long as the robot is.
 
     Raises:

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from ursnav_torch.devices.base import JointRates, Joints, Light, LightSample
+from ursnav_torch.devices.base import JointRates, Joints, Lamp, LightSample
 from ursnav_torch.devices.robots.kinematics import Drive
 from ursnav_torch.devices.robots.robot import BLIND_S, Robot
 from ursnav_torch.devices.robots.rosserial_packets import (
@@ -260,7 +260,7 @@ def _unreported(limits: Limits, drive: Drive) -> Array:
     return steps
 
 
-class RosserialLight(Light):
+class RosserialLight(Lamp):
     """An LED on an Arduino of its own, as in the thesis's set-up (§4.3.4)."""
 
     def __init__(self, port: str, baud: int = 57600) -> None:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.devices.base import SourceAtEndError, Tracker, TrackerSample, Vector3
+from ursnav_torch.devices.base import EmTracker, SourceAtEndError, TrackerSample, Vector3
 from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 
 
-class CsvTracker(Tracker):
+class CsvTracker(EmTracker):
     """Plays ``frame,t_s,x_mm,y_mm,z_mm,dx,dy,dz``; see `read_em_samples` for what is read besides.
 
     Args:
@@ -44,7 +44,7 @@ class CsvTracker(Tracker):
         self._next, self._start_s = 0, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
-        """Wait for the next row's time; raises as `Tracker.read` does."""
+        """Wait for the next row's time; raises as `EmTracker.read` does."""
         self._check_connected()
         if self._next >= len(self._poses):
             raise SourceAtEndError(f"{self.path} is at its end after {len(self._poses)} samples.")

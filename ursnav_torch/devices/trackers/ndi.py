@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from fastcrc import crc16
 
-from ursnav_torch.devices.base import Tracker, TrackerSample
+from ursnav_torch.devices.base import EmTracker, TrackerSample
 from ursnav_torch.devices.serial_link import SerialLink
 from ursnav_torch.devices.wire import SensorPose, Tool
 from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutError, InputError
@@ -90,7 +90,7 @@ def unpack_bx_body(body: bytes) -> list[NdiTool]:
     return tools
 
 
-class NdiTracker(Tracker):
+class NdiTracker(EmTracker):
     """A tool of an NDI tracker, polled over a serial port.
 
     Args:
@@ -114,7 +114,7 @@ class NdiTracker(Tracker):
         self._frame, self._next_s = -1, 0.0
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
-        """Wait for the tool's next frame; raises as `Tracker.read` does, and DeviceProtocolError."""
+        """Wait for the tool's next frame; raises as `EmTracker.read` does, and DeviceProtocolError."""
         self._check_connected()
         deadline = time.monotonic() + timeout_s
         time.sleep(max(0.0, min(self._next_s, deadline) - time.monotonic()))

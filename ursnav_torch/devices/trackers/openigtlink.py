@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 
-from ursnav_torch.devices.base import Tracker, TrackerSample
+from ursnav_torch.devices.base import EmTracker, TrackerSample
 from ursnav_torch.devices.igtl.messages import (
     HEADER,
     TOOL_5D,
@@ -22,7 +22,7 @@ from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTime
 MOST_NAMES = 30
 
 
-class OpenIgtlTracker(Tracker):
+class OpenIgtlTracker(EmTracker):
     """A tool that an OpenIGTLink server sends, as TRANSFORM, POSITION, TDATA or QTDATA.
 
     Args:

@@ -13,13 +13,13 @@ from queue import Empty, Queue
 from threading import Thread
 from typing import Any
 
-from ursnav_torch.devices.base import Tracker, TrackerSample
+from ursnav_torch.devices.base import EmTracker, TrackerSample
 from ursnav_torch.devices.wire import SensorPose, Tool
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.extras import import_extra
 
 
-class SurgeryNdiTracker(Tracker):
+class SurgeryNdiTracker(EmTracker):
     """A tool of an NDI tracker, read by scikit-surgerynditracker in a child process.
 
     Args:
@@ -42,7 +42,7 @@ class SurgeryNdiTracker(Tracker):
         self._lines: Queue[str] = Queue()
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
-        """Wait for the next frame; raises as `Tracker.read` does."""
+        """Wait for the next frame; raises as `EmTracker.read` does."""
         self._check_connected()
         return self._sample(json.loads(self._line(timeout_s)))
 

@@ -10,9 +10,9 @@ from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.geodesic import ways_to
 from ursnav_torch.kidney.grid import LumenGrid
 from ursnav_torch.kidney.naming import name_calyces, with_poles
+from ursnav_torch.kidney.phantom.implicit import plan_surface
 from ursnav_torch.kidney.phantom.plan import draw_plan
-from ursnav_torch.kidney.phantom.shapes import Cup, Plan
-from ursnav_torch.kidney.phantom.surface import plan_surface
+from ursnav_torch.kidney.phantom.shapes import Cup, PhantomPlan
 from ursnav_torch.kidney.tree import grow_tree, ridge_near
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def make_phantom_kidney(seed: int = 0, calyces: int | None = None, scale: float 
     raise InputError(f"Seed {seed} gives no lumen with {count} calyces that keep apart; take another seed.")
 
 
-def _apart(rng: np.random.Generator, calyces: int) -> Plan:
+def _apart(rng: np.random.Generator, calyces: int) -> PhantomPlan:
     """The first plan drawn whose parts keep apart, or of many the one that does best."""
     best, gap = draw_plan(rng, calyces), -np.inf
     for _ in range(_PLANS):

@@ -19,7 +19,7 @@ show (cups 5 to 11 mm wide, 50 to 65 mm from pole to pole).
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ursnav_torch.kidney.phantom.shapes import Cup, Outline, Papilla, Plan, Tube
+from ursnav_torch.kidney.phantom.shapes import Cup, Outline, Papilla, PhantomPlan, Tube
 from ursnav_torch.kidney.phantom.sinus import draw_papillae
 
 Array = NDArray[np.float64]
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 _STRAIGHT = 0.08
 
 
-def draw_plan(rng: np.random.Generator, calyces: int) -> Plan:
-    """A plan with ``calyces`` minor calyces; its parts may touch (see `Plan.gap_mm`)."""
+def draw_plan(rng: np.random.Generator, calyces: int) -> PhantomPlan:
+    """A plan with ``calyces`` minor calyces; its parts may touch (see `PhantomPlan.gap_mm`)."""
     pelvis = np.array([rng.uniform(7, 11), rng.uniform(3.2, 5.0), rng.uniform(6, 10)])
     papillae, outward = draw_papillae(rng, calyces)
     distance = np.linalg.norm(papillae[:, None] - papillae, axis=-1) + 1e3 * np.eye(calyces)
@@ -45,7 +45,7 @@ def draw_plan(rng: np.random.Generator, calyces: int) -> Plan:
             cup = _cup(rng, papillae[c], outward[c], start, room[c], polar)
             minors.append(_minor(rng, start, cup))
             cups.append(cup)
-    return Plan(pelvis, _ureter(rng, pelvis), tuple(majors), tuple(minors), tuple(cups))
+    return PhantomPlan(pelvis, _ureter(rng, pelvis), tuple(majors), tuple(minors), tuple(cups))
 
 
 def _groups(rng: np.random.Generator, calyces: int) -> list[NDArray[np.int64]]:

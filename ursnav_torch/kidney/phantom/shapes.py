@@ -94,7 +94,7 @@ class Cup:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class PhantomPlan:
     """A whole collecting system.
 
     Attributes:

@@ -8,7 +8,6 @@ recorded, pictures are located in a VID of the phantom, and the record is replay
 """
 
 import json
-import sys
 import tempfile
 import time
 import zlib
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._results import Report, overrides, resident_mb
+from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.devices import Frame, RobotLight
 from ursnav_torch.features import DefaultSettings
@@ -145,7 +144,3 @@ def _watch(memory: list[float], rows: list[tuple[int, int]]) -> Callable[[Event]
             memory.append(resident_mb())
 
     return watch
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

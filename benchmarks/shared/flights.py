@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._kidneys import vid_of
+from benchmarks.shared.kidneys import vid_of
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import LumenDistance, make_phantom_kidney

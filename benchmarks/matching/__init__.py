@@ -4,7 +4,6 @@ Arguments, each ``key=value``: ``views=40 rounds=7 threads=1 accuracy_views=100 
 out=FILE.json``. OpenCV's extractors need opencv-contrib-python-headless; without it they are skipped.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,9 +14,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks import _rivals, _shapes
-from benchmarks._outlines import outline
-from benchmarks._results import Report, overrides, time_interleaved
+from benchmarks.shared import rivals as rival_methods
+from benchmarks.shared import shapes as drawn_shapes
+from benchmarks.shared.outlines import outline
+from benchmarks.shared.results import Report, overrides, time_interleaved
 from ursnav_torch.features.sampling import METHODS, sample
 from ursnav_torch.matching import (
     Hungarian,
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     settings = overrides(DEFAULTS, arguments)
     torch.set_num_threads(settings["threads"])
     report = Report("matching", {k: v for k, v in settings.items() if k != "out"})
-    rivals, missing = _rivals.available()
+    rivals, missing = rival_methods.available()
     for name, reason in missing.items():
         report.skip(name, reason)
     for points in (100, 300):
@@ -73,9 +73,9 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def speed(report: Report, rivals: dict[str, _rivals.Rival], points: int, views: int, rounds: int) -> None:
+def speed(report: Report, rivals: dict[str, rival_methods.Rival], points: int, views: int, rounds: int) -> None:
     """Milliseconds for one query, its descriptor included, against `views` views, and how often faster."""
-    curves = _shapes.closed_curves(views + 1, points)
+    curves = drawn_shapes.closed_curves(views + 1, points)
     query, database = curves[0], list(curves[1:])
     calls: dict[str, Callable[[], Any]] = {}
     for name, settings in OURS.items():
@@ -137,12 +137,12 @@ class AccuracySet:
 
 def accuracy_sets(queries: int, views: int) -> list[AccuracySet]:
     """The same view seen again, whole or in part, and another silhouette of the same class."""
-    database = list(_shapes.edge_views(views, 100, seed=1))
+    database = list(drawn_shapes.edge_views(views, 100, seed=1))
     wanted, labels = np.arange(queries) % views, np.arange(views)
     out = []
     for keep, clutter in ((1.0, 0), (0.7, 0), (1.0, 30), (0.7, 30), (0.5, 0)):
         rng = np.random.default_rng(7)
-        asked = [_shapes.observe(database[i], rng, keep, clutter) for i in wanted]
+        asked = [drawn_shapes.observe(database[i], rng, keep, clutter) for i in wanted]
         out.append(
             AccuracySet(f"same view, {keep:.0%} of the edge, {clutter} clutter", asked, wanted, database, labels)
         )
@@ -153,7 +153,7 @@ def _class_set(queries: int, views: int) -> AccuracySet:
     """Silhouettes in classes, ten of each in the database, others of the class as queries."""
     classes = max(2, -(-views // 10))
     spare = -(-queries // classes)
-    shapes = [outline(image, 100).points for _, image in _shapes.silhouettes(classes, 10 + spare, upright=True)]
+    shapes = [outline(image, 100).points for _, image in drawn_shapes.silhouettes(classes, 10 + spare, upright=True)]
     label, number = np.divmod(np.arange(len(shapes)), 10 + spare)
     asked = np.flatnonzero(number >= 10)[:queries]
     kept = np.flatnonzero(number < 10)
@@ -161,7 +161,7 @@ def _class_set(queries: int, views: int) -> AccuracySet:
     return AccuracySet(name, [shapes[i] for i in asked], label[asked], [shapes[i] for i in kept], label[kept])
 
 
-def accuracy(report: Report, rivals: dict[str, _rivals.Rival], data: AccuracySet) -> None:
+def accuracy(report: Report, rivals: dict[str, rival_methods.Rival], data: AccuracySet) -> None:
     """First-neighbor accuracy of everything on one set."""
     methods = dict(rivals)
     for own, settings in OURS.items():
@@ -178,7 +178,7 @@ def _own_distances(matcher: Matcher, query: Floats, views: Sequence[Floats]) -> 
 
 def sampling(report: Report, views: int = 200, queries: int = 60) -> None:
     """First-neighbor accuracy and sampling time against the number of points, by way of sampling."""
-    dense = _shapes.edge_views(views, 800, seed=3)
+    dense = drawn_shapes.edge_views(views, 800, seed=3)
     matching = Matching(descriptor=ShapeContext(scale=60.0))
     for count in (25, 50, 100, 200):
         for method in METHODS:
@@ -187,7 +187,7 @@ def sampling(report: Report, views: int = 200, queries: int = 60) -> None:
             database = [v[sample(v, count, method)] for v in np.round(dense)]
             matcher, rng, hits = prepared(database, matching), np.random.default_rng(5), 0
             for i in range(queries):
-                seen = np.round(np.vstack([_shapes.observe(dense[i], rng, 0.7), _strokes(rng, 240)]))
+                seen = np.round(np.vstack([drawn_shapes.observe(dense[i], rng, 0.7), _strokes(rng, 240)]))
                 query = seen[sample(seen, count, method)]
                 hits += int(matcher.distances(torch.from_numpy(query).float()).argmin()) == i
             note = f"{np.median(times):.1f} ms to sample one picture of 800 points"
@@ -205,7 +205,7 @@ def _strokes(rng: np.random.Generator, count: int, length: int = 20) -> Floats:
 
 def growth(report: Report, rounds: int) -> None:
     """Exhaustive Hellinger search of 400 and 4,000 views beside the matrix-product peak of the same rounds."""
-    curves = _shapes.closed_curves(4001, 100, seed=2)
+    curves = drawn_shapes.closed_curves(4001, 100, seed=2)
     query = torch.from_numpy(curves[0]).float()
     small, large = (prepared(list(curves[1 : v + 1]), Matching()) for v in (400, 4000))
     square = torch.rand(2048, 2048)
@@ -225,7 +225,3 @@ def growth(report: Report, rounds: int) -> None:
     rates = zip(times["4,000 views"], times["matrix product of 2,048"], strict=True)
     shares = [100 * (work / a) / (peak / b) for a, b in rates]
     report.add(group, "4,000 views, share of the matrix-product peak", "%", shares)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

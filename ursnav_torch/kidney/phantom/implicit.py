@@ -9,7 +9,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
-from ursnav_torch.kidney.phantom.shapes import Cup, Plan, Tube
+from ursnav_torch.kidney.phantom.shapes import Cup, PhantomPlan, Tube
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Field:
         self.values[slices] = _smooth_min(self.values[slices], values, blend_mm)
 
 
-def plan_surface(plan: Plan, rng: np.random.Generator) -> trimesh.Trimesh:
+def plan_surface(plan: PhantomPlan, rng: np.random.Generator) -> trimesh.Trimesh:
     """The closed lumen surface of a plan, mm, normals outward; with handles where branches touch."""
     field = _empty_field(plan)
     _add_pelvis(field, plan.pelvis_mm)
@@ -66,7 +66,7 @@ def _mesh(field: Field) -> trimesh.Trimesh:
     return mesh
 
 
-def _empty_field(plan: Plan) -> Field:
+def _empty_field(plan: PhantomPlan) -> Field:
     points = [t.points_mm for t in plan.tubes] + [np.stack([c.base_mm, c.end_mm]) for c in plan.cups]
     points += [np.diag(plan.pelvis_mm), -np.diag(plan.pelvis_mm)]
     low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)

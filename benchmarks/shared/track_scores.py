@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._results import Report
-from benchmarks._track_records import Record
+from benchmarks.shared.results import Report
+from benchmarks.shared.track_records import Record
 from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]

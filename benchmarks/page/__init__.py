@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks._results import Report, overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import at_rate, prepare
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.devices import Frame
 from ursnav_torch.navigation import WORDS, NavigationState, Navigator
 from ursnav_torch.page import LivePage
@@ -201,7 +201,3 @@ def _tab(url: str) -> Iterator[Any]:
         tab.wait_for_selector("#strip button", timeout=1e3 * PATIENCE_S)
         yield tab
         browser.close()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

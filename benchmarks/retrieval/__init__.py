@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from benchmarks._outlines import Outline, mirrored, outline, read_silhouettes
-from benchmarks._rerank import diffuse
-from benchmarks._results import Report, overrides
-from benchmarks._shapes import silhouettes
+from benchmarks.shared.outlines import Outline, mirrored, outline, read_silhouettes
+from benchmarks.shared.rerank import diffuse
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.shapes import silhouettes
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import ShapeContext, describe
 from ursnav_torch.matching.ordered import Ordered, align_outlines
@@ -151,7 +151,3 @@ def first_neighbor(distances: Floats, labels: NDArray[np.int64]) -> float:
     others = distances.copy()
     np.fill_diagonal(others, np.inf)
     return float((labels[others.argmin(1)] == labels).mean())
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -9,7 +9,6 @@ navigated picture by picture, and the page is photographed along the way.
 
 import io
 import shutil
-import sys
 import tempfile
 import threading
 import time
@@ -21,9 +20,9 @@ from typing import Any
 import torch
 from PIL import Image
 
-from benchmarks._results import overrides
 from benchmarks.navigation import SETTINGS as FLIGHT
 from benchmarks.navigation import phantom_vid, record_flight
+from benchmarks.shared.results import overrides
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.page import LivePage, web_page
 from ursnav_torch.session import Replay, SessionControls
@@ -99,7 +98,3 @@ def _write(shots: list[Image.Image], settings: dict[str, Any]) -> list[Path]:
         if loop.stat().st_size < LARGEST_BYTES:
             break
     return [still, loop]
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -23,7 +23,7 @@ import torch
 
 from ursnav_torch.errors import InputError
 
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path(__file__).parents[1] / "results"
 FORMAT = 1
 _PACKAGES = ("torch", "numpy", "scipy", "POT", "opencv-python-headless", "opencv-contrib-python-headless")
 
@@ -229,7 +229,7 @@ def processor() -> str:
 def commit() -> str:
     """The commit that is checked out, with "+changes" if files differ from it; "unknown" outside git."""
     try:
-        root = Path(__file__).parent
+        root = Path(__file__).parents[1]
         run = ["git", "-C", str(root)]
         found = subprocess.run([*run, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
         package = [*run, "status", "--porcelain", "--", "../ursnav_torch", "*.py"]

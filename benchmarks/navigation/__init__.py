@@ -8,7 +8,6 @@ A flight through the phantom is drawn and recorded; its pictures are then fed at
 `Navigator`, without a browser. Latency counts from the moment a picture is handed over until its pose is on the bus.
 """
 
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks._results import Report, overrides, resident_mb
+from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.features import DefaultSettings
@@ -156,7 +155,3 @@ def flight(vid: Vid, rate_hz: float, seconds: float, speed_mm_s: float = 6.0) ->
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.stack([across, up, gaze], axis=1), position
         yield T
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 import ursnav_torch
-from benchmarks._flights import Flown
+from benchmarks.shared.flights import Flown
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between

@@ -1,0 +1,1 @@
+"""What several suites use: results, scenes, rivals, statistics."""
