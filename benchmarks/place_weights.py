@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from benchmarks._flights import CHOOSING, population
-from benchmarks._results import Report, overrides
+from benchmarks.shared.flights import CHOOSING, population
+from benchmarks.shared.results import Report, overrides
 from ursnav_torch.errors import InputError
 from ursnav_torch.tracking.own_kidney import Evidence
 from ursnav_torch.tracking.place_test import PlaceTest
