@@ -6,12 +6,13 @@ from ursnav_torch._runner import caller_path, runner
 from ursnav_torch.teleop import PATHS
 
 
-@runner("navigate", paths=(*PATHS, "em_to_kidney"))
+@runner("navigate", paths=(*PATHS, "em_to_kidney", "tip"))
 def main(config: Any) -> None:
     """Instantiate the choices and call `runs.navigate.navigate_vid`."""
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
+    from ursnav_torch.runs.calibrate_tip import read_tip
     from ursnav_torch.runs.navigate import navigate_vid
     from ursnav_torch.vid import load_vid
 
@@ -24,7 +25,7 @@ def main(config: Any) -> None:
         out=None if config.out is None else caller_path(config.out),
         duration_s=config.seconds,
         em_to_kidney=None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
-        sensor_offset_mm=list(config.sensor_offset_mm),
+        sensor_offset_mm=list(config.sensor_offset_mm) if config.tip is None else read_tip(caller_path(config.tip))[0],
         latency_s=config.latency_s,
         overwrite=config.overwrite,
         config=plain,

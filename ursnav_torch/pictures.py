@@ -19,19 +19,21 @@ MOST_PIXELS = 40_000_000
 MOST_BYTES = 256 << 20
 #: The kinds of files that are taken for pictures, in Pillow's words.
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
+#: Gray stays gray, 16 bits stay 16; only without IMREAD_UNCHANGED does OpenCV turn a picture as its EXIF data say.
+_AS_SEEN = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 
 
 def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
-    """The picture in a file's bytes as OpenCV decodes it, unchanged; None where there is none.
+    """The picture in a file's bytes, turned as its EXIF orientation says, else as it is; None where there is none.
 
     Args:
         encoded: the file's bytes.
         where: names it in errors.
 
     Raises:
-        InputError: the picture has more than `MOST_PIXELS` pixels.
+        InputError: the picture has more than `MOST_PIXELS` pixels, or the file holds several pictures.
     """
-    pixels = _declared_pixels(encoded)
+    pixels, pages = _declared(encoded)
     if pixels is None:
         return None
     if pixels > MOST_PIXELS:
@@ -39,17 +41,22 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
             f"The picture {where} has {pixels / 1e6:.0f} megapixels; at most {MOST_PIXELS / 1e6:.0f} are read. Is it "
             "a picture of the scope?"
         )
+    if pages > 1:
+        raise InputError(
+            f"{where} holds {pages} pictures (pages) in one file, of which one alone would be read; save each as "
+            "a file of its own, or all as a video."
+        )
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        return cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
+        return cv2.imdecode(np.frombuffer(encoded, np.uint8), _AS_SEEN)
     except cv2.error:
         return None
     finally:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _declared_pixels(encoded: bytes) -> int | None:
-    """Width times height that a file's header declares, None where no reader of headers finds any.
+def _declared(encoded: bytes) -> tuple[int | None, int]:
+    """Width times height that a file's header declares, None where no reader of headers finds any, and its pages.
 
     What they do not know, OpenCV is not asked to decode: it knows rarer formats, some of which have no limits.
     """
@@ -57,11 +64,12 @@ def _declared_pixels(encoded: bytes) -> int | None:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         try:
             with Image.open(io.BytesIO(encoded), formats=_FORMATS) as picture:
-                return int(picture.width * picture.height)
+                pages = int(getattr(picture, "n_frames", 1)) if picture.format == "TIFF" else 1
+                return int(picture.width * picture.height), pages
         except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-            return int("".join(re.findall(r"\((\d+) pixels\)", str(error)))[:18])
+            return int("".join(re.findall(r"\((\d+) pixels\)", str(error)))[:18]), 1
         except UnidentifiedImageError:  # of the TIFF files Pillow knows the more common only
             with tifffile.TiffFile(io.BytesIO(encoded)) as file:
                 page = file.pages.first
-                return int(page.imagewidth) * int(page.imagelength)
-    return None
+                return int(page.imagewidth) * int(page.imagelength), len(file.pages)
+    return None, 1

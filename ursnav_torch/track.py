@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 
-@runner("track", paths=("source", "em", "em_to_kidney", "odometry", "truth"))
+@runner("track", paths=("source", "em", "em_to_kidney", "tip", "odometry", "truth"))
 def main(config: Any) -> int:
     """Instantiate the choices and call `runs.track.track_source`."""
     from hydra.utils import instantiate
@@ -14,6 +14,7 @@ def main(config: Any) -> int:
     from ursnav_torch.errors import InputError
     from ursnav_torch.registration import recorded_readings
     from ursnav_torch.results import check_set
+    from ursnav_torch.runs.calibrate_tip import read_tip
     from ursnav_torch.runs.odometry import recorded_odometry
     from ursnav_torch.runs.sources import open_source, picture_times
     from ursnav_torch.runs.track import Instruments, camera_source, track_results, track_source
@@ -33,12 +34,15 @@ def main(config: Any) -> int:
     if config.em is not None:
         if config.source == "camera":
             raise InputError("em= is the log of a recording; with a camera, `navigate` takes the tracker itself.")
+        offset_mm, offset_s = list(config.sensor_offset_mm), config.em_offset_s
+        if config.tip is not None:
+            offset_mm, offset_s = read_tip(caller_path(config.tip))
         sensor, readings = recorded_readings(
             caller_path(config.em),
             None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
-            list(config.sensor_offset_mm),
+            offset_mm,
             *picture_times(caller_path(config.source), config.fps),
-            EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, config.em_join),
+            EmFormat(config.em_unit, config.em_time_unit, offset_s, config.em_join),
             vid.kidney.mesh.bounds,
         )
         readings += "\n"
@@ -49,7 +53,9 @@ def main(config: Any) -> int:
         odometry = recorded_odometry(caller_path(config.odometry))
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
-    read = [config[key] for key in ("source", "em", "em_to_kidney", "odometry", "truth") if config[key] is not None]
+    read = [
+        config[key] for key in ("source", "em", "em_to_kidney", "tip", "odometry", "truth") if config[key] is not None
+    ]
     besides = Besides(truth, config.tum, tuple(caller_path(path) for path in read if path != "camera"))
     check_set(track_results(out, besides), config.overwrite)
     instruments = Instruments(sensor, odometry)

@@ -49,8 +49,7 @@ def jobs(inputs: Path) -> list[Job]:
 def make_inputs(folder: Path, run: Callable[[Job, Path], int]) -> None:
     """Fill the folder; ``run(job, folder)`` calls a runner there."""
     from ursnav_torch.kidney import make_phantom_kidney
-    from ursnav_torch.segmentation import write_scan
-    from ursnav_torch.segmentation.scan import Scan
+    from ursnav_torch.segmentation import Scan, write_scan
 
     folder.mkdir(parents=True)
     kidney = make_phantom_kidney(0, calyces=6)

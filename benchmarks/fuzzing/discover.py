@@ -29,7 +29,7 @@ _LEFT_OUT = {
     "segmentation.load.load_ct_kidney": "segments for seconds what read_scan has read",
     "kidney.mesh.load_mesh_kidney": "looks for calyces for seconds in what read_mesh has read",
     "session.record.Recorder": "writes",
-    "segmentation.read.read_scan_here": "runs in a process apart, see segmentation.apart.read_scan",
+    "segmentation.scans.read.read_scan_here": "runs in a process apart, see segmentation.scans.apart.read_scan",
     "reports.matches.MatchReport": "writes",
     "runs.journal.Journal": "reads only what the same run wrote, see tests/runs/test_matched_resume.py",
     "page.bounds.Bounds": "has a test of its own",

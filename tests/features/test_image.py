@@ -75,3 +75,35 @@ def test_channels_count_by_the_square_of_their_means() -> None:
     spread = signal(mixed)
     torch.testing.assert_close(spread[0, 0] - spread[1, 0], torch.tensor(-20 / 21), rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(spread.mean(), torch.tensor((10 + 80 + 640) / 21), rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("turn", [1, 3, 6, 8])
+def test_pictures_are_turned_as_their_exif_data_say(tmp_path: Path, turn: int) -> None:
+    from PIL import Image, ImageOps
+
+    picture = Image.fromarray(np.repeat(np.repeat(np.arange(12, dtype=np.uint8).reshape(3, 4) * 20, 8, 0), 8, 1))
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    for name in ("a.png", "b.png"):
+        picture.save(tmp_path / name, exif=exif)
+        expected = np.asarray(ImageOps.exif_transpose(Image.open(tmp_path / name)))
+        np.testing.assert_array_equal(read_image(tmp_path / name), expected)
+    picture.save(tmp_path / "a.jpg", exif=exif, quality=95)
+    assert read_image(tmp_path / "a.jpg").shape == expected.shape
+
+
+@pytest.mark.parametrize("pages", [2, 3, 7])
+def test_a_file_with_several_pictures_is_refused_with_their_number(tmp_path: Path, pages: int) -> None:
+    from PIL import Image
+
+    sheets = [Image.fromarray(np.full((20, 30), 10 * n, np.uint8)) for n in range(pages)]
+    sheets[0].save(tmp_path / "stack.tif", save_all=True, append_images=sheets[1:])
+    with pytest.raises(InputError, match=rf"stack\.tif holds {pages} pictures \(pages\) in one file"):
+        read_image(tmp_path / "stack.tif")
+    sheets[0].save(tmp_path / "one.tif")
+    assert read_image(tmp_path / "one.tif").shape == (20, 30)
+
+
+def test_the_given_stack_is_refused(cases: Path) -> None:
+    with pytest.raises(InputError, match="holds 3 pictures"):
+        read_image(cases / "17-tiff-stack" / "15_stack.tif")

@@ -143,7 +143,7 @@ def test_json_round_trips_and_passes_further_keys_over(tmp_path: Path) -> None:
         (json.dumps(FISHEYE.to_dict() | {"fx": -88}), "fy > 0"),
         (json.dumps(FISHEYE.to_dict() | {"fx": float("nan")}), "not readable JSON"),
         (json.dumps(FISHEYE.to_dict() | {"width": 1e400}), "not readable JSON"),
-        (json.dumps(FISHEYE.to_dict() | {"k": [0.1, 0.2]}), "length 4"),
+        (json.dumps(FISHEYE.to_dict() | {"k": [0.1, 0.2]}), "takes 4 coefficients k"),
         (json.dumps(FISHEYE.to_dict() | {"width": 1}), "at least 8 x 8"),
         (json.dumps(FISHEYE.to_dict() | {"fov_deg": 400}), "between 0 and 360"),
         (json.dumps(FISHEYE.to_dict() | {"model": "pinhole"}), "pinhole lens takes no k"),

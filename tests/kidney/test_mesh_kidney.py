@@ -85,8 +85,34 @@ def test_unreadable_files_are_refused(files: Path, tmp_path: Path) -> None:
     for name in ("lumen.stl", "lumen.ply", "lumen.glb"):
         half = (files / name).read_bytes()[:5000]
         (tmp_path / name).write_bytes(half)
-        with pytest.raises(InputError, match=r"cannot be read as|has no usable triangles|is not closed"):
+        with pytest.raises(InputError, match=r"cannot be read as|has no usable|is not closed|ends before its data do"):
             load_mesh_kidney(tmp_path / name)
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 100, b"COLOR=" * 9, b"\n", b"endsolid nothing\n" * 20])
+@pytest.mark.parametrize("head", [b"made by somebody", b"solid lumen"])
+def test_bytes_after_a_binary_stl_are_passed_over(files: Path, tmp_path: Path, tail: bytes, head: bytes) -> None:
+    data = (files / "lumen.stl").read_bytes()
+    path = tmp_path / "tail.stl"
+    path.write_bytes(head.ljust(80) + data[80:] + tail)
+    np.testing.assert_array_equal(read_mesh(path).triangles, read_mesh(files / "lumen.stl").triangles)
+
+
+def test_a_truncated_stl_says_how_many_triangles_it_lacks(files: Path, tmp_path: Path) -> None:
+    data = (files / "lumen.stl").read_bytes()
+    (tmp_path / "half.stl").write_bytes(data[: 84 + 50 * 10 + 7])
+    with pytest.raises(InputError, match=r"ends before its data do: its header counts \d+ triangles, and it holds 10"):
+        read_mesh(tmp_path / "half.stl")
+
+
+def test_the_given_stl_with_bytes_after_it(cases: Path) -> None:
+    assert len(read_mesh(cases / "19-stl-bytes-after" / "lumen.stl").faces) == 28808
+
+
+def test_slicers_markups_are_named_as_what_they_are(files: Path, tmp_path: Path) -> None:
+    (tmp_path / "calyces.mrk.json").write_text("{}")
+    with pytest.raises(InputError, match=r"holds markups of 3D Slicer, which kidney=ct takes"):
+        load_mesh_kidney(files / "lumen.stl", tmp_path / "calyces.mrk.json")
 
 
 def test_points_in_another_frame_are_refused(files: Path, phantom: Kidney, tmp_path: Path) -> None:

@@ -121,4 +121,4 @@ def test_readings_of_other_images_are_refused(run: Callable[..., Any], case: Cas
     text = case.em.read_text().splitlines()
     case.em.write_text("\n".join([text[0], *(f"other{line}" for line in text[1:])]), encoding="utf-8")
     done = run("validate", *case.overrides(tmp_path / "v.json"))
-    assert done.code == 1 and "No EM reading belongs to any of the 5 images" in done.err
+    assert done.code == 1 and "0 of 5 pictures have an EM reading" in done.err

@@ -31,6 +31,22 @@ def test_convention_points_come_out_in_lps(tmp_path: Path, system: str, sign: in
     np.testing.assert_allclose(points[0], [sign * 1, sign * 2, 3])
 
 
+@pytest.mark.parametrize("units", ["mm", ["mm", "UCUM", "millimeter"], ["mm", "UCUM"], ["mm", "UCUM", "Millimeter"]])
+def test_millimeters_may_be_coded_as_the_schema_allows(tmp_path: Path, units: Any) -> None:
+    assert len(points_of(read_markups(written(tmp_path / "p.mrk.json", POINTS, coordinateUnits=units)))[1]) == 3
+
+
+@pytest.mark.parametrize("units", ["cm", ["cm", "UCUM", "centimeter"], ["mm"], ["mm", "DCM", "millimeter"], None, {}])
+def test_other_units_are_refused(tmp_path: Path, units: Any) -> None:
+    with pytest.raises(InputError, match="are not understood; save them in LPS or RAS and mm"):
+        read_markups(written(tmp_path / "p.mrk.json", POINTS, coordinateUnits=units))
+
+
+def test_given_markups_with_ucum_units(cases: Path) -> None:
+    names, points = points_of(read_markups(cases / "18-markups-ucum" / "ucum.mrk.json"))
+    assert len(names) == len(points) == 6
+
+
 def test_points_name_calyces_and_pelvis_in_the_kidney_frame(tmp_path: Path) -> None:
     markups = read_markups(written(tmp_path / "p.mrk.json", POINTS))
     calyces, pelvis = calyces_from_markups(markups, T_RAS_LPS, "p")

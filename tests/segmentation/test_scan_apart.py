@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.segmentation import Scan, apart, read_scan, write_scan
-from ursnav_torch.segmentation.read import read_scan_here
+from ursnav_torch.segmentation import Scan, read_scan, write_scan
+from ursnav_torch.segmentation.scans import apart
+from ursnav_torch.segmentation.scans.read import read_scan_here
 
 pytest.importorskip("SimpleITK")
 

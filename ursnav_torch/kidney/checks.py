@@ -1,17 +1,21 @@
 """Is a mesh the lumen of a collecting system, closed and in mm? Mends what can be mended, refuses the rest."""
 
 import warnings
+from collections.abc import Mapping
 
 import networkx as nx
 import numpy as np
 import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ursnav_torch.errors import InputError
 
-#: Pieces below this share of the whole volume are specks of the segmentation.
-_SPECK = 0.01
+#: Pieces beside the largest are crumbs of the segmentation while they hold no more than this share of the volume.
+_CRUMBS = 0.03
+#: Vertices closer than this are one, mm: programs that write a triangle at a time round each corner anew.
+_WELD_MM = 1e-3
 #: Plausible diagonals of a collecting system, mm at scale 1.
 _DIAGONAL_MM = (25.0, 250.0)
 #: A lumen holds some mL, distended to some tens at most; a kidney has 100 to 250 mL.
@@ -19,21 +23,25 @@ _LARGEST_ML = 90.0
 #: No place in a collecting system is farther from the wall than this, short of gross hydronephrosis.
 _LARGEST_RADIUS_MM = 16.0
 
+#: What to do where a file turns out to be in another unit than mm, by that unit.
+_SCALE_ADVICE = {"meters": "set kidney.scale=1000", "centimeters": "set kidney.scale=10"}
 
-def check_lumen(mesh: trimesh.Trimesh, name: str, scale: float) -> trimesh.Trimesh:
+
+def check_lumen(
+    mesh: trimesh.Trimesh, name: str, scale: float, unit_advice: Mapping[str, str] | None = None
+) -> trimesh.Trimesh:
     """The mesh (mm, already scaled) as one closed piece with normals outward.
 
-    Specks of less than 1 % of the volume are dropped and an inside-out mesh is turned, each with a warning.
+    Vertices within 1 um are welded; crumbs of up to 3 % of the volume in total are dropped and an inside-out mesh is
+    turned, each with a warning.
 
     Raises:
         InputError: no faces; not in mm; open; several pieces; a volume that no lumen has.
     """
     if len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         raise InputError(f"{name} has no usable triangles; export the lumen as a triangle mesh (STL, PLY, OBJ or GLB).")
-    mesh.merge_vertices()
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
-    _check_size(mesh, name, scale)
+    _check_size(mesh, name, scale, unit_advice or _SCALE_ADVICE)
+    mesh = _welded(mesh)
     mesh = _one_piece(mesh, name)
     _check_closed(mesh, name)
     if mesh.volume < 0:
@@ -62,7 +70,7 @@ def _solid(name: str, found: str) -> InputError:
     )
 
 
-def _check_size(mesh: trimesh.Trimesh, name: str, scale: float) -> None:
+def _check_size(mesh: trimesh.Trimesh, name: str, scale: float, advice: Mapping[str, str]) -> None:
     low, high = (x * scale for x in _DIAGONAL_MM)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     if low <= diagonal <= high:
@@ -72,10 +80,23 @@ def _check_size(mesh: trimesh.Trimesh, name: str, scale: float) -> None:
     )
     for factor, unit in ((1000, "meters"), (10, "centimeters")):
         if low <= diagonal * factor <= high:
-            raise InputError(f"{found}. The file seems to be in {unit}: set kidney.scale={factor}, or export it in mm.")
+            raise InputError(f"{found}. The file seems to be in {unit}: {advice[unit]}, or export it in mm.")
     raise InputError(
         f"{found} at scale {scale:g}. Export the lumen in mm, or set kidney.scale to what brings it to anatomy."
     )
+
+
+def _welded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its near vertices made one, and without the triangles that this leaves flat or double."""
+    count = len(mesh.vertices)
+    pairs = cKDTree(mesh.vertices).query_pairs(_WELD_MM, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    merged = connected_components(graph, directed=False)[1]
+    _, first = np.unique(merged, return_index=True)
+    mesh = trimesh.Trimesh(mesh.vertices[first], merged[mesh.faces], process=False)
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    return mesh
 
 
 def _one_piece(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
@@ -88,16 +109,25 @@ def _one_piece(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
         mesh.submesh([np.flatnonzero(piece[mesh.faces[:, 0]] == p)], append=True, repair=False) for p in range(count)
     ]
     sizes = np.array([abs(p.volume) for p in pieces])
-    share = sizes / max(sizes.sum(), 1e-12)
-    large = np.sort(share[share >= _SPECK])[::-1]
-    if len(large) > 1:
-        listed = ", ".join(f"{s * sizes.sum() / 1000:.2f} mL" for s in large)
+    order = np.argsort(-sizes, kind="stable")
+    total = max(float(sizes.sum()), 1e-12)
+    if total - sizes[order[0]] > _CRUMBS * total:
+        listed = ", ".join(f"{v / 1000:.2f} mL" for v in sizes[order][:8] if v > 0.001 * total)
         raise InputError(
-            f"{name} consists of {len(large)} pieces ({listed}). One connected lumen is needed: join or delete "
-            "pieces in the segmentation. If one is a shell around the other (organ and cavity), keep the inner one."
+            f"{name} consists of {count} pieces ({listed}), and those beside the largest hold "
+            f"{1 - sizes[order[0]] / total:.1%} of the volume; up to {_CRUMBS:.0%} are dropped as crumbs. One "
+            "connected lumen is needed: join or delete pieces in the segmentation. If one is a shell around the other "
+            "(organ and cavity), keep the inner one."
         )
-    warnings.warn(f"{name}: {count - 1} specks of less than 1 % of the volume were dropped.", stacklevel=4)
-    return pieces[int(share.argmax())]
+    listed = "; ".join(f"{v:.2g} mm3 at {np.round(pieces[p].bounds.mean(axis=0), 1).tolist()}"
+                       for p, v in zip(order[1:6], sizes[order[1:6]], strict=True))  # fmt: skip
+    more = f" and {count - 6} smaller ones" if count > 6 else ""
+    warnings.warn(
+        f"{name}: {count - 1} crumbs beside the lumen, {1 - sizes[order[0]] / total:.2%} of the volume, were dropped: "
+        f"{listed}{more}.",
+        stacklevel=4,
+    )
+    return pieces[int(order[0])]
 
 
 def _check_closed(mesh: trimesh.Trimesh, name: str) -> None:

@@ -1,5 +1,6 @@
 """``kidney=mesh``: the collecting system from a surface file."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.tables import read_calyces
 
 _FORMATS = (".stl", ".ply", ".obj", ".glb")
+#: Bytes of a binary STL file before its triangles, and of each of them.
+_STL_HEAD, _STL_TRIANGLE = 84, 50
 
 
 def load_mesh_kidney(
@@ -77,7 +80,29 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
     if path.stat().st_size == 0:
         raise InputError(f"{path} is empty (0 bytes); export or copy it again.")
     try:
-        mesh = trimesh.load_scene(path, process=False).to_mesh()
+        mesh = _load(path)
+    except InputError:
+        raise
     except Exception as error:  # the readers raise whatever a damaged file makes them stumble over
         raise InputError(f"{path} cannot be read as {path.suffix[1:].upper()}: {error}. Export it again.") from error
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def _load(path: Path) -> trimesh.Trimesh:
+    data = path.read_bytes() if path.suffix.lower() == ".stl" else b""
+    if len(data) >= _STL_HEAD:
+        length = _STL_HEAD + _STL_TRIANGLE * int.from_bytes(data[80:84], "little")
+        if _STL_HEAD < length < len(data) and not _is_text(data):
+            # programs put colors or names behind the triangles; the reader would take the file for text
+            return trimesh.load_mesh(io.BytesIO(data[:length]), file_type="stl", process=False)
+        if length > len(data) and not _is_text(data):
+            raise InputError(
+                f"{path} ends before its data do: its header counts {(length - _STL_HEAD) // _STL_TRIANGLE} triangles, "
+                f"and it holds {(len(data) - _STL_HEAD) // _STL_TRIANGLE}. Copy or export it again."
+            )
+    return trimesh.load_scene(path, process=False).to_mesh()
+
+
+def _is_text(data: bytes) -> bool:
+    """Whether an STL file is ASCII: it begins with ``solid`` and goes on with facets."""
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower()

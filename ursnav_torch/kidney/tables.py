@@ -34,6 +34,11 @@ def read_calyces(path: Path | str) -> tuple[tuple[Calyx, ...], Array | None]:
     Raises:
         InputError: the file is missing, has no such columns or no calyx, a name is empty or twice, a number is none.
     """
+    if str(path).lower().endswith(".json"):
+        raise InputError(
+            f"{path} holds markups of 3D Slicer, which kidney=ct takes; a mesh does not say if it is in LPS or RAS. "
+            "Give it a CSV calyx,x_mm,y_mm,z_mm in the mesh's own coordinates."
+        )
     rows = read_csv(path, ("calyx", *_POINT), "calyces")
     names = [row["calyx"].strip() for row in rows]
     for name in names:

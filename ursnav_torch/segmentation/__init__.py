@@ -4,13 +4,11 @@ Scans are read with where they lie in the patient (LPS), the lumen is taken from
 its surface is meshed, and from there on it is a kidney like any other. Needs the extra ``ct``.
 """
 
-from ursnav_torch.segmentation.apart import read_scan
-from ursnav_torch.segmentation.export import write_dicom, write_scan
 from ursnav_torch.segmentation.label_surface import lumen_surface
 from ursnav_torch.segmentation.load import CtKidney, load_ct_kidney, name_kidney, scan_lumen
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import Markup, calyces_from_markups, curves_of, points_of, read_markups
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans import Scan, ScanHeader, read_scan, write_dicom, write_scan
 from ursnav_torch.segmentation.synthetic import Patient, place_kidney, synthetic_ct
 from ursnav_torch.segmentation.write import segment_scan, write_stl
 
@@ -20,6 +18,7 @@ __all__ = [
     "Markup",
     "Patient",
     "Scan",
+    "ScanHeader",
     "calyces_from_markups",
     "curves_of",
     "load_ct_kidney",

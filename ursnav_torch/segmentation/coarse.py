@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans.scan import Scan
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress
 from ursnav_torch.segmentation.coarse import TISSUE_HU, Coarse, coarse_scan, likely_seeds, lowest_tissue_lps, lps_axis
 from ursnav_torch.segmentation.lumen import TOUCHING, Lumen, largest_piece
-from ursnav_torch.segmentation.scan import Scan, spread_box
+from ursnav_torch.segmentation.scans.scan import Scan, spread_box
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.segmentation.lumen import TOUCHING, Lumen
-from ursnav_torch.segmentation.scan import Scan, spread_box
+from ursnav_torch.segmentation.scans.scan import Scan, spread_box
 
 #: A file with at most this many values, none negative, is a label map.
 _MOST_LABELS = 64

@@ -14,16 +14,18 @@ from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.tables import read_calyces
-from ursnav_torch.segmentation.apart import read_scan
 from ursnav_torch.segmentation.contrast import lumen_of_contrast
 from ursnav_torch.segmentation.curves import with_curves
 from ursnav_torch.segmentation.label_surface import lumen_surface
 from ursnav_torch.segmentation.labels import label_counts, lumen_of_label
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import calyces_from_markups, curves_of, read_markups
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans import Scan, ScanHeader, read_scan
 
 Array = NDArray[np.float64]
+
+#: What to do where a scan turns out to be in another unit than mm, by that unit.
+_UNIT_ADVICE = {"meters": "set kidney.header.unit=m", "centimeters": "set kidney.header.unit=cm"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +56,7 @@ def load_ct_kidney(
     faces: int = 60_000,
     calyces: Path | str | None = None,
     centerline: Path | str | None = None,
+    header: ScanHeader | None = None,
     progress: Progress = no_progress,
 ) -> Kidney:
     """A kidney from a CT urography or from a label map of one.
@@ -71,13 +74,14 @@ def load_ct_kidney(
         faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
         calyces: CSV as for `load_mesh_kidney` (kidney frame), or Slicer's .mrk.json; None finds and names them.
         centerline: Slicer's .mrk.json with a curve a calyx, from the pelvis to its tip; None finds it.
+        header: spacing, orientation or unit where the file's own header lacks them or is wrong.
         progress: how far the search is.
 
     Raises:
         InputError: see `read_scan`, `lumen_of_label`, `lumen_of_contrast`, `check_lumen` and `build_kidney`.
         MissingExtraError: the extra ``ct`` is not installed.
     """
-    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
+    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header)
     return name_kidney(found, calyces, centerline)
 
 
@@ -91,11 +95,12 @@ def scan_lumen(
     frame: str,
     faces: int,
     progress: Progress,
+    header: ScanHeader | None = None,
 ) -> CtKidney:
     """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface."""
     _check_choices(side, frame, faces)
     with progress(1, "scans read") as advance:
-        scan = read_scan(path, series)
+        scan = read_scan(path, series, header=header)
         advance(1)
     counts = label_counts(scan)
     if label is not None and not counts:
@@ -107,7 +112,7 @@ def scan_lumen(
     T = np.eye(4) if frame == "lps" else T_RAS_LPS
     mesh = lumen_surface(lumen, faces)
     mesh.apply_transform(T)
-    return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0), T)
+    return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0, _UNIT_ADVICE), T)
 
 
 def name_kidney(found: CtKidney, calyces: Path | str | None, centerline: Path | str | None = None) -> Kidney:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans.scan import Scan
 
 #: Faces, edges and corners of a voxel count as connected.
 TOUCHING = np.ones((3, 3, 3), bool)

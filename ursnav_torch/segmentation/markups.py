@@ -51,7 +51,7 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
 
 def _markup(data: dict[str, Any]) -> Markup:
     system, units = str(data.get("coordinateSystem", "LPS")).upper(), data.get("coordinateUnits", "mm")
-    if system not in ("LPS", "0", "RAS", "1") or units != "mm":
+    if system not in ("LPS", "0", "RAS", "1") or not _in_mm(units):
         raise InputError(f"Markups in {system} and {units} are not understood; save them in LPS or RAS and mm.")
     points = [p for p in data["controlPoints"] if p.get("positionStatus", "defined") == "defined"]
     at = np.array([p["position"] for p in points], float).reshape(-1, 3)
@@ -60,6 +60,11 @@ def _markup(data: dict[str, Any]) -> Markup:
     if system in ("RAS", "0"):  # Slicer's old files number them: 0 is RAS, 1 is LPS
         at = apply(T_RAS_LPS, at)
     return Markup(str(data.get("type", "Fiducial")), tuple(str(p.get("label", "")) for p in points), at)
+
+
+def _in_mm(units: Any) -> bool:
+    """``mm``, or its code in UCUM as the schema allows it: ``["mm", "UCUM", "millimeter"]``."""
+    return bool(units == "mm" or (isinstance(units, list) and [str(u) for u in units[:2]] == ["mm", "UCUM"]))
 
 
 def points_of(markups: Sequence[Markup]) -> tuple[tuple[str, ...], Array]:

@@ -9,7 +9,7 @@ from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.kidney.anatomy import Calyx
 from ursnav_torch.kidney.paint import paint_surface, write_lines
 from ursnav_torch.segmentation.load import CtKidney
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans.scan import Scan
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -14,7 +14,7 @@ from scipy import ndimage
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.grid import fill
-from ursnav_torch.segmentation.scan import Scan, transform_of_voxels
+from ursnav_torch.segmentation.scans.scan import Scan, transform_of_voxels
 
 Array = NDArray[np.float64]
 

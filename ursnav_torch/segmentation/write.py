@@ -13,11 +13,10 @@ from ursnav_torch.files import Progress, check_output, no_progress, whole_folder
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.tables import write_calyces, write_centerline
-from ursnav_torch.segmentation.export import write_scan
 from ursnav_torch.segmentation.load import CtKidney, name_kidney, scan_lumen
 from ursnav_torch.segmentation.markups import points_of, read_markups
 from ursnav_torch.segmentation.preview import preview
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans import Scan, ScanHeader, write_scan
 
 
 def segment_scan(
@@ -33,6 +32,7 @@ def segment_scan(
     calyces: Path | str | None = None,
     centerline: Path | str | None = None,
     landmarks: Path | str | None = None,
+    header: ScanHeader | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Kidney:
@@ -49,7 +49,7 @@ def segment_scan(
     points = None if landmarks is None else points_of(read_markups(landmarks))
     if points is not None and not len(points[0]):
         raise InputError(f"{landmarks} holds no point list; landmarks are placed as points in 3D Slicer.")
-    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress)
+    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header)
     kidney = name_kidney(found, calyces, centerline)
     with whole_folder(out, overwrite) as work:
         _write_all(found, kidney, work, frame)

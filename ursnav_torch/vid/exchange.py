@@ -101,7 +101,7 @@ def read_poses(path: str | Path) -> CollectedViews:
     table = Path(path)
     rows = read_csv(table, POSE_COLUMNS, "poses")
     names = tuple(row["calyx"].strip() for row in rows) if "calyx" in rows[0] else None
-    T = check_rigid(poses_from_rows(rows, table), f"A pose of {table}")
+    T = check_rigid(poses_from_rows(rows), f"A pose of {table}")
     return CollectedViews((), T, names, table)
 
 

@@ -7,6 +7,7 @@ else.
 
 import atexit
 import contextlib
+import dataclasses
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import threading
 import traceback
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,9 @@ import numpy as np
 
 import ursnav_torch
 from ursnav_torch.errors import InputError, MissingExtraError, UrsnavError
-from ursnav_torch.segmentation.read import LARGEST_VOXELS, read_scan_here, simple_itk
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans.headers import ScanHeader
+from ursnav_torch.segmentation.scans.read import LARGEST_VOXELS, read_scan_here, simple_itk
+from ursnav_torch.segmentation.scans.scan import Scan
 
 #: Most address space of a child: the largest scan that is accepted, 8 bytes a voxel in the file, and as 16 bits.
 MOST_BYTES = 12 << 30
@@ -36,13 +39,19 @@ _lock = threading.Lock()
 _server: "subprocess.Popen[str] | None" = None
 
 
-def read_scan(path: Path | str, series: str | None = None, largest_voxels: int = LARGEST_VOXELS) -> Scan:
-    """A scan or label map from a NIfTI, NRRD or MetaImage file, or from a folder with the slices of a DICOM series.
+def read_scan(
+    path: Path | str,
+    series: str | None = None,
+    largest_voxels: int = LARGEST_VOXELS,
+    header: ScanHeader | None = None,
+) -> Scan:
+    """A scan or label map from a NIfTI, NRRD or MetaImage file, a DICOM file with many slices, or a folder of slices.
 
     Args:
         path: file or folder.
         series: UID of the series to take where a folder holds several.
         largest_voxels: files that declare more are refused before memory is taken for them.
+        header: the user's word on the geometry, in place of the file's.
 
     Raises:
         InputError: see `read_scan_here`; or the file makes its reader crash, or read without end.
@@ -51,9 +60,10 @@ def read_scan(path: Path | str, series: str | None = None, largest_voxels: int =
     simple_itk()
     path = Path(path)
     if not hasattr(os, "fork"):  # Windows
-        return read_scan_here(path, series, largest_voxels)
+        return read_scan_here(path, series, largest_voxels, header)
     with tempfile.TemporaryDirectory(prefix="ursnav_scan_") as folder:
         request = {"path": str(path.absolute()), "series": series, "largest_voxels": largest_voxels, "folder": folder}
+        request["header"] = dataclasses.asdict(header or ScanHeader())
         status = _ask(request | {"seconds": READ_S + _size(path) // 1_000_000})
         answer = Path(folder) / "answer.json"
         if os.WIFSIGNALED(status) or not answer.exists():
@@ -62,6 +72,8 @@ def read_scan(path: Path | str, series: str | None = None, largest_voxels: int =
         if "error" in told:
             kind = MissingExtraError if told["kind"] == "MissingExtraError" else InputError
             raise kind(told["error"].replace(str(path.absolute()), str(path)))
+        for note in told["notes"]:
+            warnings.warn(note.replace(str(path.absolute()), str(path)), stacklevel=2)
         voxels = np.load(Path(folder) / "voxels.npy", allow_pickle=False)
     return Scan(voxels, np.array(told["T_lps_voxel"]), told["source"], told["names"])
 
@@ -103,7 +115,7 @@ def _ask(request: dict[str, Any]) -> int:
 
 def _start() -> "subprocess.Popen[str]":
     place = os.pathsep.join([str(Path(ursnav_torch.__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-c", "from ursnav_torch.segmentation.apart import serve; serve()"]
+    command = [sys.executable, "-c", "from ursnav_torch.segmentation.scans.apart import serve; serve()"]
     environment = os.environ | {"PYTHONPATH": place}
     atexit.register(_stop)
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
@@ -139,9 +151,13 @@ def _read(request: dict[str, Any]) -> None:
     signal.alarm(STRETCH * request["seconds"])
     folder = Path(request["folder"])
     try:
-        scan = read_scan_here(request["path"], request["series"], request["largest_voxels"])
+        header = ScanHeader(**request["header"])
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always", UserWarning)
+            scan = read_scan_here(request["path"], request["series"], request["largest_voxels"], header)
         np.save(folder / "voxels.npy", scan.voxels)
         told: dict[str, Any] = {"T_lps_voxel": scan.T_lps_voxel.tolist(), "source": scan.source, "names": scan.names}
+        told["notes"] = [str(note.message) for note in notes if note.category is UserWarning]
     except UrsnavError as error:
         told = {"error": str(error), "kind": type(error).__name__}
     except (Exception, MemoryError) as error:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ursnav_torch.segmentation.read import simple_itk
-from ursnav_torch.segmentation.scan import Scan
+from ursnav_torch.segmentation.scans.read import simple_itk
+from ursnav_torch.segmentation.scans.scan import Scan
 
 
 def write_scan(scan: Scan, path: Path) -> None:

@@ -1,0 +1,76 @@
+"""The sensor on the camera is found from a drive, with an uncertainty that holds; a poor motion is refused."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.hand_eye import simulated_drive, supplied
+from ursnav_torch.calibration.hand_eye import calibrate_tip
+from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
+from ursnav_torch.errors import RegistrationError
+from ursnav_torch.geometry import quaternion_from_transform
+from ursnav_torch.runs.calibrate_tip import read_tip
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_place_axis_and_clock_are_found(seed: int) -> None:
+    T, t_s, samples, offset, axis, ahead = simulated_drive(seed)
+    found = calibrate_tip(T, t_s, samples)
+    assert np.linalg.norm(found.offset_mm - offset) < 0.5
+    assert np.degrees(np.arccos(found.axis @ axis)) < 1.0
+    assert abs(found.em_offset_s - ahead) < 0.010
+    assert np.all(np.abs(found.offset_mm - offset) < 4 * found.offset_sd_mm)
+
+
+def test_poses_that_are_missing_and_readings_that_are_not_visible_are_left_out() -> None:
+    T, t_s, samples, offset, *_ = simulated_drive(3)
+    T[100:180] = np.nan
+    samples.position_mm[400:900] = np.nan
+    assert np.linalg.norm(calibrate_tip(T, t_s, samples).offset_mm - offset) < 1.0
+
+
+def test_a_motion_that_does_not_tell_is_refused() -> None:
+    T, t_s, samples, *_ = simulated_drive(0)
+    still = T.copy()
+    still[:, :3, :3] = T[0, :3, :3]  # moves, never turns: the place cannot be told from the registration
+    moved = replace(samples, position_mm=np.interp(samples.t_s, t_s, T[:, 0, 3])[:, None] * [1.0, 0, 0])
+    with pytest.raises(RegistrationError, match=r"does not determine .*bends to all sides"):
+        calibrate_tip(still, t_s, moved)
+    with pytest.raises(RegistrationError, match="at least 40 of each are needed"):
+        calibrate_tip(T[:20], t_s[:20], samples)
+    with pytest.raises(RegistrationError, match="has no times"):
+        calibrate_tip(T, t_s, replace(samples, t_s=None))
+
+
+def test_the_supplied_videos_agree_with_what_is_known_of_them(data: Path) -> None:
+    for name, found, truth in supplied(data):
+        assert np.linalg.norm(found.offset_mm - truth) < 0.7, name
+        assert abs(found.em_offset_s) < 0.010, name
+
+
+def test_the_runner_writes_what_track_takes(run: Callable[..., Any], tmp_path: Path) -> None:
+    T, t_s, samples, offset, _, ahead = simulated_drive(1)
+    values = np.concatenate([T[:, :3, 3], quaternion_from_transform(T)], axis=1)
+    with (tmp_path / "track.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, TRACK_COLUMNS)
+        writer.writeheader()
+        for i, row in enumerate(values.tolist()):
+            writer.writerow(
+                {"frame": i, "t_s": t_s[i], "state": "tracking"} | dict(zip(POSE_COLUMNS, row, strict=True))
+            )
+    assert samples.t_s is not None
+    table = np.column_stack([samples.t_s, samples.position_mm, samples.axis])
+    np.savetxt(tmp_path / "em.csv", table, "%.6f", ",", header="t_s,x_mm,y_mm,z_mm,dx,dy,dz", comments="")
+    files = [f"track={tmp_path / 'track.csv'}", f"em={tmp_path / 'em.csv'}", f"out={tmp_path / 'tip.json'}"]
+    done = run("calibrate_tip", *files)
+    assert done.code == 0, done.err
+    assert "sensor in the camera frame" in done.out
+    place, late = read_tip(tmp_path / "tip.json")
+    np.testing.assert_allclose(place, offset, atol=0.5)
+    assert abs(late - ahead) < 0.01
+    assert run("calibrate_tip", *files).code == 1  # it is there already

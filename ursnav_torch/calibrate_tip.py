@@ -1,0 +1,24 @@
+"""Calibrate the EM sensor on the scope's tip: its place in the camera frame, and the clocks' offset."""
+
+from typing import Any
+
+from ursnav_torch._runner import caller_path, runner
+
+
+@runner("calibrate_tip", paths=("track", "em"))
+def main(config: Any) -> None:
+    """Call `runs.calibrate_tip.tip_of_track` and write what it found."""
+    from ursnav_torch.em_log import EmFormat
+    from ursnav_torch.files import check_output_file, write_json
+    from ursnav_torch.runs.calibrate_tip import tip_of_track, tip_report, tip_summary
+
+    out = caller_path(config.out)
+    check_output_file(out, config.overwrite)
+    form = EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s)
+    found = tip_of_track(caller_path(config.track), caller_path(config.em), form)
+    write_json(out, tip_report(found, form.offset_s), config.overwrite)
+    print(f"{tip_summary(found, form.offset_s)}\ntrack and navigate take it: tip={out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Lenses from files: camera JSON, ROS and Kalibr YAML, OpenCV YAML and XML, COLMAP and OCamCalib text."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ursnav_torch.camera.formats import foreign_lens
+from ursnav_torch.camera.lens import KEYS, Camera, mask_text
+from ursnav_torch.camera.sense import check_sense
+from ursnav_torch.errors import InputError
+from ursnav_torch.records import read_json, to_record
+
+
+def load_camera(
+    path: str | Path,
+    crop: Sequence[int] | None = None,
+    resize: Sequence[int] | None = None,
+    name: str | None = None,
+    model: str | None = None,
+) -> Camera:
+    """Read a lens: camera JSON (`Camera`'s fields; ``mask`` names a PNG beside it), or a file of another program.
+
+    Args:
+        path: JSON; ROS camera_info, Kalibr or OpenCV YAML; OpenCV XML; COLMAP's cameras.txt or OCamCalib's
+            calib_results.txt.
+        crop: [x, y, w, h] of the pictures in the calibrated one, px.
+        resize: [w, h] that pictures were scaled to, after the crop.
+        name: which camera, where a file holds several.
+        model: ``plumb_bob`` or ``equidistant`` where a file does not say what its four coefficients are.
+
+    Raises:
+        InputError: missing, damaged, of no kind that is known, or no lens that can be (see `check_sense`).
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml", ".xml", ".txt"):
+        lens = foreign_lens(path, name, model)
+    else:
+        data = read_json(path, "camera")
+        lens = camera_from_dict(_with_mask(data, path), str(path))
+    check_sense(lens, str(path))
+    if crop is not None:
+        lens = lens.cropped(*_whole_numbers(crop, 4, "camera.crop=[x,y,w,h]"))
+    return lens if resize is None else lens.resized(*_whole_numbers(resize, 2, "camera.resize=[w,h]"))
+
+
+def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
+    """A `Camera` from the camera JSON's plain data; ``where`` names its origin in errors.
+
+    Raises:
+        InputError: a key is missing or of the wrong kind, or there is no such lens.
+    """
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where} does not hold a camera: expected an object with {', '.join(KEYS)}.")
+    missing = [key for key in KEYS if key not in data]
+    if missing:
+        raise InputError(f"The camera in {where} lacks {', '.join(missing)}; needed are {', '.join(KEYS)}.")
+    known = {key: _whole(value) for key, value in data.items() if value is not None}
+    if known["model"] == "pinhole" and not known.get("k"):
+        known.pop("k", None)
+    return to_record(known, Camera, f"The camera in {where}")
+
+
+def _with_mask(data: Any, path: Path) -> Any:
+    """The data with the mask's own bytes in place of its file's name."""
+    mask = data.get("mask") if isinstance(data, Mapping) else None
+    if not isinstance(mask, str) or mask.startswith("data:"):
+        return data
+    file = path.parent / mask
+    image = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_GRAYSCALE) if file.is_file() else None
+    if image is None:
+        raise InputError(f"The camera in {path} names the mask {mask!r}; there is no such picture beside it ({file}).")
+    return {**data, "mask": mask_text(image > 127)}
+
+
+def _whole_numbers(values: Sequence[int], count: int, what: str) -> list[int]:
+    if len(values) != count or any(v != int(v) for v in values):
+        raise InputError(f"{what} takes {count} whole numbers in px, got {list(values)}.")
+    return [int(v) for v in values]
+
+
+def _whole(value: Any) -> Any:
+    """250 for 250.0: some calibration tools write every number as a float."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
