@@ -161,7 +161,3 @@ def _score(report: Report, how: str, answers: list[dict[str, Any]]) -> None:
     report.add(
         f"{how}: pictures of nothing", "refused", "%", [100 * refused / len(none)], f"{refused}/{len(none)}", len(none)
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

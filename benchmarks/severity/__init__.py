@@ -78,7 +78,3 @@ def right_answers(vid: Vid, localizer: Localizer, poses: Plan, preset: str, leve
         except FeatureError:
             continue
     return right
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

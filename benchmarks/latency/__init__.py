@@ -82,7 +82,3 @@ def _locate(report: Report, vid: Vid, pictures: int) -> None:
             whole.append(1e3 * localizer.locate(query.image).seconds)
         report.add("features", name, "ms", features)
         report.add("picture to pose", f"{name}, {len(vid)} views", "ms", whole)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
