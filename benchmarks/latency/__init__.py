@@ -5,7 +5,6 @@ Arguments, each ``key=value``: ``vid=DIR`` (a VID; a phantom's is built and time
 """
 
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Sequence

@@ -2,22 +2,27 @@
 
     python -m benchmarks.session              # ten minutes and the replay
     python -m benchmarks.session minutes=1
+    python -m benchmarks.session minutes=30 faults_every_s=10   # a soak: a fault every ten seconds, nothing is located
 
 The scope flies through the phantom by its pilot, at 15 pictures, 40 EM samples and 50 commands a second; all of it is
 recorded, pictures are located in a VID of the phantom, and the record is replayed and located again.
 """
 
 import json
+import os
 import tempfile
+import threading
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.session.faults import Faults, Operator
 from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.devices import Frame, RobotLight
@@ -26,7 +31,7 @@ from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.pictures import match_row
-from ursnav_torch.session import Event, Live, Player, Recorder, Replay, Result, Rig, build_rig, run_session
+from ursnav_torch.session import Event, Live, Player, Recorder, Replay, Result, Rig, Summary, build_rig, run_session
 from ursnav_torch.simulation import (
     SimulatedGrblRobot,
     SimulatedNdiTracker,
@@ -44,6 +49,7 @@ SETTINGS = {
     "sensor": "none",
     "tracker": "openigtlink",
     "views_per_calyx": 24,
+    "faults_every_s": 0.0,
     "out": "",
 }
 TRACKERS = {"openigtlink": SimulatedOpenIgtlTracker, "ndi": SimulatedNdiTracker}
@@ -55,7 +61,7 @@ def main(arguments: list[str]) -> None:
     settings = overrides(SETTINGS, arguments)
     report = Report("session", settings)
     with tempfile.TemporaryDirectory() as folder:
-        _measure(report, settings, Path(folder))
+        (_soak if settings["faults_every_s"] else _measure)(report, settings, Path(folder))
     print(report.table())
     print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
 
@@ -86,6 +92,52 @@ def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:
     report.add("replay", "rows that are the same", "%", [100.0 * same / max(len(rows), 1)], n=len(rows))
     report.add("replay", "damaged items", "items", [float(replay.damaged)])
     report.add("replay", "seconds", "s", [time.monotonic() - begun])
+
+
+def _soak(report: Report, settings: dict[str, Any], folder: Path) -> None:
+    """Faults on a clock: memory, threads, descriptors, and whether every sample that was sent has come or was noted."""
+    kidney = make_phantom_kidney(0, calyces=6)
+    lens = equidistant_camera(160.0, settings["lens_px"], settings["lens_px"])
+    rig = _rig(World(kidney, RaycastRenderer(kidney.mesh, lens)), settings)
+    assert rig.robot is not None and rig.gamepad is not None
+    operator = Operator(rig.gamepad, rig.robot)
+    looks: list[tuple[float, float, int, int]] = []
+
+    def look(event: Event) -> None:
+        if not looks or time.monotonic() - looks[-1][0] >= 1.0:
+            looks.append((time.monotonic(), resident_mb(), threading.active_count(), len(os.listdir("/proc/self/fd"))))
+
+    with replace(rig, gamepad=operator) as rig, Recorder(folder / "record", settings) as recorder:
+        live = Live(rig, duration_s=60 * settings["minutes"])
+        with Faults(rig, settings["faults_every_s"]) as faults:
+            summary = run_session(live, None, [recorder.write, look])
+    _add_soak(report, summary, faults, looks)
+    report.add("operator", "stops acknowledged", "times", [float(operator.acknowledged)])
+    report.add("operator", "lost places confirmed", "times", [float(operator.confirmed)])
+    replay = Replay(folder / "record", speed=0)
+    again = run_session(Player(replay), None, [])
+    report.add("replay", "events that differ from the session's", "events", [
+        float(sum(abs(again.counts.get(k, 0) - n) for k, n in summary.counts.items()) + replay.damaged)
+    ])  # fmt: skip
+    print(summary.text())
+
+
+def _add_soak(report: Report, summary: Summary, faults: Faults, looks: list[tuple[float, float, int, int]]) -> None:
+    t, memory, threads, descriptors = np.array(looks).T
+    settled = t > t[0] + (t[-1] - t[0]) / 3
+    slope = float(np.polyfit(t[settled] / 60, memory[settled] / 1.048576, 1)[0])
+    group = f"soak of {summary.seconds / 60:.1f} min, {sum(faults.planted.values())} faults"
+    report.add(group, "memory slope over the last two thirds", "MiB/min", [slope])
+    for name, values in (("threads", threads), ("descriptors", descriptors)):
+        first, second = np.array_split(values[settled], 2)
+        report.add(group, f"{name}, second half less first", name, [float(np.median(second) - np.median(first))])
+    report.add(group, "EM poses sent and not come", "samples", [float(faults.sent - summary.counts["TrackerSample"])],
+               n=faults.sent)  # fmt: skip
+    report.add(group, "faults noted", "notes", [float(len(summary.faults))])
+    for name, seconds in summary.outages_s.items():
+        report.add(group, f"{name} gave nothing", "s", [seconds])
+    for kind in RATES_HZ:
+        report.add(group, f"{kind} lost", "samples", [float(summary.lost.get(kind, 0))], n=summary.counts.get(kind, 0))
 
 
 def _prepare(settings: dict[str, Any], folder: Path) -> tuple[World, "Locating"]:

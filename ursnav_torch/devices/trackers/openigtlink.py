@@ -16,7 +16,13 @@ from ursnav_torch.devices.igtl.messages import (
     unpack_transform,
 )
 from ursnav_torch.devices.wire import SensorPose, Tool
-from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import (
+    DeviceError,
+    DeviceNotConnectedError,
+    DeviceProtocolError,
+    DeviceTimeoutError,
+    InputError,
+)
 
 #: Names heard that are remembered.
 MOST_NAMES = 30
@@ -98,7 +104,11 @@ class OpenIgtlTracker(EmTracker):
 
     def _receive(self, deadline: float) -> Message:
         self._fill(HEADER.size, deadline)
-        header = Header.unpack(bytes(self._pending[: HEADER.size]))
+        try:
+            header = Header.unpack(bytes(self._pending[: HEADER.size]))
+        except DeviceProtocolError:
+            self._close()  # where the next message begins cannot be told any more; only a new connection helps
+            raise
         self._fill(HEADER.size + header.body_bytes, deadline)
         body = bytes(self._pending[HEADER.size : HEADER.size + header.body_bytes])
         del self._pending[: HEADER.size + header.body_bytes]
