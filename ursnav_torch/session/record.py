@@ -23,7 +23,8 @@ import cv2
 from ursnav_torch.columns import EM_COLUMNS
 from ursnav_torch.devices import Frame
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import cell, check_output, commit, partial_path
+from ursnav_torch.files import cell, check_output, commit
+from ursnav_torch.locks import locked, partial_path
 from ursnav_torch.session.events import Event, Snapshot, to_line
 
 logger = logging.getLogger(__name__)
@@ -42,7 +43,8 @@ class Recorder:
         overwrite: replace an existing record, or an interrupted one.
 
     Raises:
-        InputError: there is no ``path``, it exists, or an interrupted record of that name does.
+        InputError: there is no ``path``, it exists, an interrupted record of that name does, or another process writes
+            it.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Recorder:
         self._last_frame: tuple[int, str] | None = None
         self._snapshots = 0
         self._synced_s = 0.0
+        self._lock = contextlib.ExitStack()
 
     @property
     def written(self) -> dict[str, int]:
@@ -85,6 +88,14 @@ class Recorder:
 
     def __enter__(self) -> Self:
         check_output(self.path, self._overwrite)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(locked(self.path))
+            self._open()
+            self._lock = stack.pop_all()  # held until the session ends, or its process does
+        return self
+
+    def _open(self) -> None:
+        """Make the folder, say what will be in it, and open the file of events."""
         if self._folder.exists() and not self._overwrite:
             raise InputError(
                 f"{self._folder} is an interrupted record. Keep it under another name (it can be replayed as it is), "
@@ -96,8 +107,7 @@ class Recorder:
         about = {"format": FORMAT, "started_wall_s": time.time(), "versions": _versions(), "config": self.config}
         text = json.dumps(about, indent=1, ensure_ascii=False)
         (self._folder / ABOUT).write_text(text + "\n", encoding="utf-8")
-        self._events = os.open(self._folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-        return self
+        self._events = os.open(self._folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -107,7 +117,8 @@ class Recorder:
                 os.fsync(self._events)
             os.close(self._events)
             self._events = -1
-            commit(self._folder, self.path)
+            with self._lock:
+                commit(self._folder, self.path)
 
     def _line(self, event: Event, **extra: Any) -> None:
         line = (to_line(event, **extra) + "\n").encode("utf-8")
