@@ -22,7 +22,6 @@ from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.track_records import Choice, Record, tracked
 from benchmarks.shared.track_scores import add_refusals, add_scores
 from ursnav_torch.errors import InputError
-from ursnav_torch.kidney import LumenDistance
 
 SETTINGS = {
     "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "", "odometry": False,
@@ -65,12 +64,12 @@ def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) ->
     first = {c.kidney: c for c in population(settings["phantoms"], given)}
     for kidney in dict.fromkeys(c.kidney for c in cases):
         vid = vid_for(first[kidney], settings["views"], work, data)
-        lumen = LumenDistance.from_kidney(vid.kidney)
+        lumen = vid.lumen
         there, around = vid, lumen
         if settings["other"]:
             following = kidneys[(kidneys.index(kidney) + 1) % len(kidneys)]
             there = vid_for(first[following], settings["views"], work, data)
-            around = LumenDistance.from_kidney(there.kidney)
+            around = there.lumen
         for case in (c for c in cases if c.kidney == kidney):
             seen = flown(case, vid, lumen, settings["pictures"], work)
             for choice in choices:

@@ -49,7 +49,7 @@ def main(arguments: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         vid = load_vid(settings["vid"]) if settings["vid"] else _phantom_vid(Path(folder))
         report = Report("refinement", {k: v for k, v in settings.items() if k != "out"})
-        lumen = LumenDistance.from_kidney(vid.kidney)
+        lumen = vid.lumen
         localizer, ways = Localizer(vid, settings=LocalizationSettings(refine=False)), _ways(vid, lumen)
         for name in PRESETS:
             compare(report, f"simulated pictures, {name}", localizer, ways, _simulated(vid, name, settings["pictures"]))
@@ -96,7 +96,7 @@ def compare(
 
 def basin(report: Report, vid: Vid, lumen: LumenDistance, starts: int) -> None:
     """Share of starts, off by so much, from which one hypothesis ends within `FOUND_MM` and `FOUND_DEG`."""
-    refiner, rng = Refiner(vid, RefinementSettings(hypotheses=1), lumen), np.random.default_rng(2)
+    refiner, rng = Refiner(vid, RefinementSettings(hypotheses=1)), np.random.default_rng(2)
     pictures = list(_simulated(vid, "thesis_simulation", starts, warp_mm=0.0))
     extractor = vid.extractor()
     seen: list[tuple[Features, Array]] = [(extractor.extract(image), T) for image, T in pictures]
@@ -112,7 +112,7 @@ def basin(report: Report, vid: Vid, lumen: LumenDistance, starts: int) -> None:
 
 def _ways(vid: Vid, lumen: LumenDistance) -> dict[str, Way]:
     """From a location to a pose, by name."""
-    one, several = (Refiner(vid, RefinementSettings(hypotheses=n), lumen) for n in (1, 3))
+    one, several = (Refiner(vid, RefinementSettings(hypotheses=n)) for n in (1, 3))
     pnp = EdgePnp(vid)
 
     def by_pnp(location: Location) -> Array:
@@ -144,7 +144,7 @@ def _phantom_vid(folder: Path) -> Vid:
 def _simulated(vid: Vid, preset: str, count: int, warp_mm: float = 1.0) -> Iterator[Picture]:
     """Pictures of the kidney, warped by ``warp_mm``, from poses that are no views; a stranger's light and sensor."""
     rng = np.random.default_rng(list(PRESETS).index(preset))
-    lumen = LumenDistance.from_kidney(vid.kidney)
+    lumen = vid.lumen
     plan = PlanSettings(views_per_calyx=1 + count // len(vid.kidney.calyces), passage_views=0, seed=99, roll_deg=180.0)
     warp = deform_mesh(vid.kidney.mesh, WarpSettings(amplitude_mm=warp_mm), rng)
     renderer = RaycastRenderer(warp.mesh, vid.camera)

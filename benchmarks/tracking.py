@@ -30,7 +30,7 @@ from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, succ
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.geometry import look_along, transform_from_quaternion
-from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney, observed_calyx
+from ursnav_torch.kidney import Kidney, make_phantom_kidney, observed_calyx
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.runs.sources import open_source
@@ -205,7 +205,7 @@ def _phantom(seed: int, settings: dict[str, Any], work: Path) -> tuple[Vid, list
     if not folder.exists():
         build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
     vid = load_vid(folder)
-    lumen, renderer = LumenDistance.from_kidney(vid.kidney), RaycastRenderer(vid.kidney.mesh, lens)
+    lumen, renderer = vid.lumen, RaycastRenderer(vid.kidney.mesh, lens)
     preset = ("thesis_simulation", "thesis_phantom")[seed % 2]
     T = fly(vid.kidney, range(0, 6, 2), np.random.default_rng(seed))
     found = observed_calyx(T, vid.kidney, lumen)

@@ -13,7 +13,7 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
 
     from ursnav_torch.files import check_output
-    from ursnav_torch.localization import learn_confidence
+    from ursnav_torch.localization import Localizer, learn_confidence
     from ursnav_torch.reports import report_look_alikes
     from ursnav_torch.vid import PlanSettings, build_vid
 
@@ -22,7 +22,10 @@ def main(config: Any) -> None:
     kidney, camera = instantiate(config.kidney), instantiate(config.camera)
     make_renderer, plan = instantiate(config.rendering), instantiate(config.views)
     trial = plan if isinstance(plan, PlanSettings) else PlanSettings()
-    learn = partial(learn_confidence, make_renderer=make_renderer, plan=trial) if config.calibrate else None
+    choices = {name: instantiate(config[name]) for name in ("matching", "search", "alignment")}
+    learn = partial(
+        learn_confidence, make_renderer=make_renderer, plan=trial, make_localizer=partial(Localizer, **choices)
+    )
     vid = build_vid(
         kidney,
         camera,
@@ -33,7 +36,7 @@ def main(config: Any) -> None:
         overwrite=config.overwrite,
         compute=instantiate(config.compute),
         progress=progress,
-        learn=learn,
+        learn=learn if config.calibrate else None,
     )
     names = ", ".join(f"{c.name} {(vid.calyx == i).sum()}" for i, c in enumerate(kidney.calyces))
     print(f"{len(vid)} views in {out} (scale {kidney.scale:g}); views a calyx: {names}")

@@ -19,13 +19,13 @@ def main(config: Any) -> int:
     out = caller_path(config.out)
     check_output(out, config.overwrite)
     matching, localization = instantiate(config.matching), instantiate(config.localization)
-    search = instantiate(config.search)
+    search, alignment = instantiate(config.search), instantiate(config.alignment)
     pipeline = Pipeline(
         instantiate(config.camera),
         instantiate(config.features),
         instantiate(config.rendering),
         instantiate(config.views),
-        lambda vid: Localizer(vid, matching, localization, search),
+        lambda vid: Localizer(vid, matching, localization, search, alignment),
         config.calibrate,
         config.workers,
     )

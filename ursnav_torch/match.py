@@ -19,9 +19,8 @@ def main(config: Any) -> int:
     vid = load_vid(caller_path(config.vid))
     if config.camera:
         vid.check_lens(instantiate(config.camera))
-    localizer = Localizer(
-        vid, instantiate(config.matching), instantiate(config.localization), instantiate(config.search)
-    )
+    choices = (config.matching, config.localization, config.search, config.alignment)
+    localizer = Localizer(vid, *(instantiate(choice) for choice in choices))
     rows = match_images(localizer, str(caller_path(config.images)), out, report, config.overwrite, progress)
     wrong = sum(1 for row in rows if row.get("error"))
     unsure = sum(1 for row in rows if row.get("accepted") is False)
@@ -29,6 +28,11 @@ def main(config: Any) -> int:
         f"{len(rows)} pictures: {len(rows) - wrong - unsure} located, {unsure} unsure, {wrong} with an error; "
         f"rows in {config.out}"
     )
+    if not localizer.knows_confidence:
+        print(
+            "How sure an answer is, is not known: this VID learned its confidence with other matching=, search= or "
+            "alignment= settings, so that column is blank and nothing is accepted. Build the VID with these settings."
+        )
     return ROWS_WITH_ERRORS if wrong else OK
 
 

@@ -14,11 +14,13 @@ def main(config: Any) -> None:
 
     from ursnav_torch.runs.calibrate_tip import read_tip
     from ursnav_torch.runs.navigate import navigate_vid
+    from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
 
+    choices = (config.tracking, config.search, config.matching, config.alignment)
     plain: Any = OmegaConf.to_container(config, resolve=True)
     summary = navigate_vid(
-        load_vid(caller_path(config.vid)),
+        Tracker(load_vid(caller_path(config.vid)), *(instantiate(choice) for choice in choices)),
         instantiate(config.hardware),
         make_renderer=instantiate(config.rendering),
         page=instantiate(config.viewer) if config.viewer else None,
@@ -29,6 +31,7 @@ def main(config: Any) -> None:
         latency_s=config.latency_s,
         overwrite=config.overwrite,
         config=plain,
+        exploration=instantiate(config.exploration),
     )
     print(summary)
 

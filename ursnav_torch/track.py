@@ -25,7 +25,8 @@ def main(config: Any) -> int:
     vid = load_vid(caller_path(config.vid))
     if config.camera:
         vid.check_lens(instantiate(config.camera))
-    tracker = Tracker(vid)
+    choices = (config.tracking, config.search, config.matching, config.alignment)
+    tracker = Tracker(vid, *(instantiate(choice) for choice in choices))
     if config.source == "camera":
         source = camera_source(instantiate(config.device), config.seconds)
     else:
@@ -53,10 +54,10 @@ def main(config: Any) -> int:
         odometry = recorded_odometry(caller_path(config.odometry))
     out = caller_path(config.out)
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
-    read = [
-        config[key] for key in ("source", "em", "em_to_kidney", "tip", "odometry", "truth") if config[key] is not None
-    ]
-    besides = Besides(truth, config.tum, tuple(caller_path(path) for path in read if path != "camera"))
+    asked = ("source", "em", "em_to_kidney", "tip", "odometry", "truth")
+    read = [config[key] for key in asked if config[key] is not None]
+    inputs = tuple(caller_path(path) for path in read if path != "camera")
+    besides = Besides(truth, config.tum, inputs, instantiate(config.exploration))
     check_set(track_results(out, besides), config.overwrite)
     instruments = Instruments(sensor, odometry)
     summary, whole = track_source(

@@ -22,7 +22,7 @@ from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.features import DefaultSettings
-from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
+from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.navigation import Navigator
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import severity, simulate
@@ -62,7 +62,7 @@ def prepare(settings: dict[str, Any], folder: Path) -> tuple[Navigator, list[Fra
     if not settings["record"]:
         record_flight(vid, record, settings)
     frames = [e for e in Replay(record, speed=0).events() if isinstance(e, Frame)]
-    return Navigator(Tracker(vid, LumenDistance.from_kidney(vid.kidney))), frames
+    return Navigator(Tracker(vid)), frames
 
 
 def _measure(report: Report, navigator: Navigator, frames: list[Frame], settings: dict[str, Any]) -> None:

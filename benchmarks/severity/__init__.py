@@ -19,7 +19,6 @@ import numpy as np
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
 from ursnav_torch.errors import FeatureError, UrsnavError
-from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import HeadLight, RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
@@ -64,7 +63,7 @@ def query_poses(vid: Vid, count: int) -> Plan:
         PlanSettings(), views_per_calyx=each, passage_views=0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0,
         roll_deg=180.0, seed=4321,
     )  # fmt: skip
-    return plan_views(vid.kidney, LumenDistance.from_kidney(vid.kidney), plan)
+    return plan_views(vid.kidney, vid.lumen, plan)
 
 
 def right_answers(vid: Vid, localizer: Localizer, poses: Plan, preset: str, level: float) -> int:

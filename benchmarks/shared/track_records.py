@@ -109,7 +109,7 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
     key = hashlib.sha256((_sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
     path = seen.folder / f"{'refused' if choice.other else 'track'}_{key}.npz"
     if not path.exists():
-        answers = list(_answers(seen, Tracker(vid, lumen, choice.settings()), choice))
+        answers = list(_answers(seen, Tracker(vid, choice.settings()), choice))
         np.savez(path, **_arrays(answers))
     with np.load(path) as kept:
         true = observed_calyx(seen.flight.T_kidney_camera, vid.kidney, lumen)

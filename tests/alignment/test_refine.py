@@ -33,7 +33,7 @@ def fine(vid: Vid) -> Vid:
 
 @pytest.fixture(scope="module")
 def refiner(fine: Vid, phantom_lumen: LumenDistance) -> Refiner:
-    return Refiner(fine, lumen=phantom_lumen)
+    return Refiner(fine)
 
 
 def features(vid: Vid, phantom: Kidney, T: np.ndarray, light: HeadLight | None = None) -> Features:
@@ -136,7 +136,7 @@ def test_a_refined_pose_is_scored_for_other_features_as_if_drawn_there(
 
 def test_the_pose_never_leaves_the_lumen(fine: Vid, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
     settings = RefinementSettings(hypotheses=1, fine_rounds=1, clearance_mm=0.8)
-    refiner, rng = Refiner(fine, settings, phantom_lumen), np.random.default_rng(5)
+    refiner, rng = Refiner(fine, settings), np.random.default_rng(5)
     seen = features(fine, phantom, fine.T_kidney_camera[3])
     for T in fine.T_kidney_camera[::9]:
         start = pushed(T, rng, 0.2, 20.0)

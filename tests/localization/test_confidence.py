@@ -66,3 +66,10 @@ def test_what_is_fitted_is_calibrated_and_ranks_by_what_tells() -> None:
     for low in (0.0, 0.25, 0.5, 0.75):
         here = (told >= low) & (told < low + 0.25)
         assert right[here].mean() == pytest.approx(told[here].mean(), abs=0.06)
+
+
+def test_what_other_settings_taught_is_not_used_unmarked() -> None:
+    stored = {"confidence": {"settings": "nearest", "refined": [1.0, 2.0], "nearest": [4.0, 5.0]}}
+    assert Confidence.from_calibration(stored, True, "nearest").weights == (1.0, 2.0)
+    other = Confidence.from_calibration(stored, True, "sinkhorn")
+    assert other.weights == () and math.isnan(other.probability(np.array([0.1])))

@@ -79,3 +79,25 @@ def test_refuses_settings() -> None:
         Sinkhorn(epsilon=0)
     with pytest.raises(InputError, match="'plain' and 'log'"):
         Sinkhorn(domain="dual")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("domain", ["plain", "log"])
+def test_dummies_take_what_has_no_counterpart(domain: str) -> None:
+    """Three points of the query lie on three of the view's, one is clutter and one edge is missing."""
+    cost = torch.full((4, 1, 4), 0.9)
+    cost[[0, 1, 2], 0, [2, 0, 1]] = 0.02
+    settings = Sinkhorn(epsilon=0.02, dummy_cost=0.2, domain=domain)  # type: ignore[arg-type]
+    even = torch.full((4,), 0.25)
+    found = settings.assign(cost, even[None], even)
+    assert found.view_point[0, :3].tolist() == [2, 0, 1]
+    assert (found.strength[0, :3] > 0.9).all() and float(found.strength[0, 3]) < 0.01
+    assert float(found.distance) == pytest.approx(0.75 * 0.02 + 2 * 0.25 * 0.2, abs=0.01)
+    forced = Sinkhorn(epsilon=0.02, domain=domain).assign(cost, even[None], even)  # type: ignore[arg-type]
+    assert float(forced.distance) == pytest.approx(0.75 * 0.02 + 0.25 * 0.9, abs=0.01)
+
+
+def test_dummies_leave_absent_points_absent() -> None:
+    found = Sinkhorn(dummy_cost=0.3).transport(COST, MASK.float(), WEIGHTS)
+    assert found.plan.shape == COST.shape and found.plan[:, 1, 5:].sum() == 0 and found.cost.isfinite().all()
+    with pytest.raises(InputError, match="dummy_cost must be > 0"):
+        Sinkhorn(dummy_cost=0.0)

@@ -53,7 +53,7 @@ def test_what_cannot_be_used_is_refused(registration):
 
 @pytest.fixture(scope="module")
 def tracker(vid, phantom_lumen):
-    return Tracker(vid, phantom_lumen)
+    return Tracker(vid)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from ursnav_torch.tracking.tracker import Tracker
 
 @pytest.fixture(scope="module")
 def tracker(vid, phantom_lumen):
-    return Tracker(vid, phantom_lumen)
+    return Tracker(vid)
 
 
 @pytest.fixture

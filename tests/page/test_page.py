@@ -220,7 +220,7 @@ def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, ph
             pages.append(live)
             yield
 
-    navigator = Navigator(Tracker(vid, phantom_lumen))
+    navigator = Navigator(Tracker(vid))
     done = []
     thread = threading.Thread(
         target=lambda: done.append(run_navigation(navigator, Replay(record, speed=0), page=page_of))
@@ -247,7 +247,7 @@ def test_a_page_lives_as_long_as_its_session_and_serves_no_files(vid, record, ph
 
 def test_on_a_slow_machine_drawings_wait(vid, phantom_lumen, monkeypatch):
     """Words and the scope's pictures must keep coming; what is drawn for the page comes less often."""
-    page = LivePage(Navigator(Tracker(vid, phantom_lumen)), SessionControls(lambda: None), port=0)
+    page = LivePage(Navigator(Tracker(vid)), SessionControls(lambda: None), port=0)
     try:
         clock = [1000.0]
         monkeypatch.setattr("ursnav_torch.page.live.time", SimpleNamespace(monotonic=lambda: clock[0]))

@@ -47,7 +47,7 @@ def page(vid, renderer, phantom_lumen):
             ready.set()
             yield
 
-    navigator = Navigator(Tracker(vid, phantom_lumen))
+    navigator = Navigator(Tracker(vid))
     job = partial(run_navigation, navigator, hardware, lambda: World(vid.kidney, renderer), page=page_of)
     session = threading.Thread(target=job)
     session.start()

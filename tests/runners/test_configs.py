@@ -1,5 +1,6 @@
 """Every configuration composes, and every choice is what its target takes."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,14 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from ursnav_torch._runner import config_dir
+from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import DefaultSettings, ThesisSettings
 from ursnav_torch.localization import LocalizationSettings
 from ursnav_torch.rendering import FlatLight, HeadLight, RaycastRenderer
+from ursnav_torch.search import VIDEO_SEARCH, SearchSettings
+from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.vid import PlanSettings
 
 FOLDER = Path(config_dir())
@@ -63,6 +68,13 @@ def test_every_choice_composes(root: str, group: str, choice: str) -> None:
         ("build_vid", "features=thesis", ThesisSettings()),
         ("build_vid", "views=planned", PlanSettings()),
         ("match", "localization=default", LocalizationSettings()),
+        ("match", "search=default", SearchSettings()),
+        ("match", "alignment=default", RefinementSettings()),
+        ("track", "search=video", VIDEO_SEARCH),
+        ("track", "alignment=video", RefinementSettings(8, iterations=6, fine_rounds=1)),
+        ("track", "tracking=default", TrackSettings()),
+        ("navigate", "tracking=default", TrackSettings()),
+        ("navigate", "exploration=default", ExplorationSettings()),
     ],
 )
 def test_configurations_repeat_the_defaults_of_the_code(root: str, override: str, expected: object) -> None:
@@ -70,9 +82,27 @@ def test_configurations_repeat_the_defaults_of_the_code(root: str, override: str
     assert instantiate(OmegaConf.select(composed(root, override), override.partition("=")[0])) == expected
 
 
+@pytest.mark.parametrize("root", ["track", "navigate"])
+def test_every_setting_of_a_track_is_overridden_without_a_plus(root: str) -> None:
+    """The YAML spells out every field, and what a runner gives is what the settings then say."""
+    config = composed(root, "tracking.challenger.starts=3", "tracking.own_kidney.frame_s=0.2", "search.shape_weight=1")
+    assert instantiate(config.tracking).challenger.starts == 3
+    assert instantiate(config.search).shape_weight == 1
+    for part in fields(TrackSettings):
+        given = {f.name for f in fields(getattr(TrackSettings(), part.name))}
+        assert set(config.tracking[part.name]) - {"_target_"} == given
+
+
+def test_edges_alone_compare_no_intensities_whatever_the_search() -> None:
+    for root, search in (("match", "default"), ("track", "video"), ("build_vid", "default")):
+        config = composed(root, f"search={search}", "localization=edges")
+        assert instantiate(config.search).relief_weight == 0 < instantiate(config.search).direction_weight
+        assert instantiate(config.localization) == LocalizationSettings()
+
+
 def test_matching_without_a_choice_is_the_default_one() -> None:
-    from ursnav_torch.localization import default_matching
     from ursnav_torch.matching import Matching
+    from ursnav_torch.search import default_matching
 
     for choice in ("nearest", "sinkhorn", "hungarian", "opencv"):
         assert isinstance(instantiate(composed("match", f"matching={choice}").matching), Matching)

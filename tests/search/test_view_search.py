@@ -99,9 +99,9 @@ def test_hungarian_solves_an_assignment_for_every_finalist(vid: Vid, renderer: R
     found = search.rank(features)
     assert found.assignment is not None
     assert search._shape is not None
-    views = search._shape._matcher.views
+    paired = search._shape._matcher.paired
     points, direction = turn_edges(features.edges, vid.camera, found.R_view_query)
-    cost = views.paired_costs(points, direction, torch.from_numpy(found.views))
+    cost = paired.costs(points, direction, torch.from_numpy(found.views))
     for k, view in enumerate(found.views):
         matrix = cost[:, k, vid.features.mask[view]].numpy()
         rows, columns = linear_sum_assignment(matrix)
@@ -179,3 +179,15 @@ def test_refusals() -> None:
         SearchSettings(0.0, 0.0, 0.0)
     with pytest.raises(InputError, match="1 <= finalists <= scan_finalists"):
         SearchSettings(finalists=300)
+
+
+def test_views_are_described_when_they_are_first_finalists(vid: Vid, renderer: RaycastRenderer) -> None:
+    """A search starts without describing the VID; the same views asked for again give the same costs."""
+    search = ViewSearch(vid, SearchSettings(finalists=5))
+    assert search._shape is not None
+    paired = search._shape._matcher.paired
+    assert not paired._described.any()
+    features = seen(vid, renderer, vid.T_kidney_camera[3])
+    first, again = search.rank(features), search.rank(features)
+    assert sorted(first.views.tolist()) == paired._described.nonzero().flatten().tolist()
+    np.testing.assert_array_equal(first.distance, again.distance)

@@ -13,7 +13,6 @@ from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
-from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -80,22 +79,19 @@ class Refiner:
     Args:
         vid: its kidney, lens and extractor settings are used, its views are not.
         settings: how much work is done.
-        lumen: of the kidney, where it is known already; computed when None.
 
     Raises:
         InputError: the VID's features have no relief to align.
     """
 
-    def __init__(
-        self, vid: Vid, settings: RefinementSettings | None = None, lumen: LumenDistance | None = None
-    ) -> None:
+    def __init__(self, vid: Vid, settings: RefinementSettings | None = None) -> None:
         if not isinstance(vid.settings, DefaultSettings):
             raise InputError(
                 "Refinement aligns reliefs, which this VID's features do not have; build it with features=default, "
                 "or match without refinement."
             )
         self.settings = settings or RefinementSettings()
-        self._lumen = lumen or LumenDistance.from_kidney(vid.kidney)
+        self._lumen = vid.lumen
         self._clearance = self.settings.clearance_mm * vid.kidney.scale
         self._aligners = [
             Aligner(vid.kidney.mesh, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)

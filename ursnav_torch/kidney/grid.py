@@ -17,8 +17,8 @@ _HALF_NEIGHBORS = [d for d in np.ndindex(3, 3, 3) if d > (1, 1, 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LumenGrid:
-    """A grid over the lumen.
+class VoxelGrid:
+    """A grid over the lumen, without the steps between its voxels.
 
     Attributes:
         wall_mm: (X, Y, Z) distance of every voxel's center to the wall, positive inside; exact inside and
@@ -27,7 +27,6 @@ class LumenGrid:
         voxel_mm: edge length of a voxel.
         index: (X, Y, Z) number of each voxel inside the lumen, -1 outside.
         centers_mm: (V, 3) centers of the voxels inside, in the order of ``index``.
-        graph: (V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors.
     """
 
     wall_mm: Array
@@ -35,21 +34,11 @@ class LumenGrid:
     voxel_mm: float
     index: IntArray
     centers_mm: Array
-    graph: csr_array
 
     @classmethod
-    def from_mesh(cls, mesh: trimesh.Trimesh, voxel_mm: float) -> "LumenGrid":
-        """Grid over a closed mesh (mm, normals outward) with voxels of ``voxel_mm``."""
-        origin = mesh.vertices.min(axis=0) - 2.5 * voxel_mm
-        shape = np.ceil((mesh.vertices.max(axis=0) - origin) / voxel_mm + 2.5).astype(int) + 1
-        inside = fill((mesh.triangles - origin) / voxel_mm, shape)
-        near = ndimage.binary_dilation(inside, iterations=2)
-        wall = -ndimage.distance_transform_edt(~inside) * voxel_mm
-        exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near), edge_mm=1.5 * voxel_mm)
-        wall[near] = np.where(inside[near], exact, -exact)
-        index = np.full(inside.shape, -1)
-        index[inside] = np.arange(inside.sum())
-        return cls(wall, origin, voxel_mm, index, origin + voxel_mm * np.argwhere(inside), _graph(index, voxel_mm))
+    def from_inside(cls, inside: NDArray[np.bool_], wall_mm: Array, origin_mm: Array, voxel_mm: float) -> "VoxelGrid":
+        """From which voxels (X, Y, Z) lie inside, and the other attributes."""
+        return cls(wall_mm, origin_mm, voxel_mm, _numbered(inside), origin_mm + voxel_mm * np.argwhere(inside))
 
     @property
     def radius_mm(self) -> Array:
@@ -73,6 +62,37 @@ class LumenGrid:
         if out.any():
             voxel[out] = cKDTree(self.centers_mm).query(points[out])[1]
         return voxel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LumenGrid(VoxelGrid):
+    """A grid over the lumen on which ways can be found.
+
+    Attributes:
+        graph: (V, V) symmetric sparse lengths in mm between each voxel inside and its up to 26 neighbors.
+    """
+
+    graph: csr_array
+
+    @classmethod
+    def from_mesh(cls, mesh: trimesh.Trimesh, voxel_mm: float) -> "LumenGrid":
+        """Grid over a closed mesh (mm, normals outward) with voxels of ``voxel_mm``."""
+        origin = mesh.vertices.min(axis=0) - 2.5 * voxel_mm
+        shape = np.ceil((mesh.vertices.max(axis=0) - origin) / voxel_mm + 2.5).astype(int) + 1
+        inside = fill((mesh.triangles - origin) / voxel_mm, shape)
+        near = ndimage.binary_dilation(inside, iterations=2)
+        wall = -ndimage.distance_transform_edt(~inside) * voxel_mm
+        exact = distance_to_surface(mesh, origin + voxel_mm * np.argwhere(near), edge_mm=1.5 * voxel_mm)
+        wall[near] = np.where(inside[near], exact, -exact)
+        index = _numbered(inside)
+        return cls(wall, origin, voxel_mm, index, origin + voxel_mm * np.argwhere(inside), _graph(index, voxel_mm))
+
+
+def _numbered(inside: NDArray[np.bool_]) -> IntArray:
+    """(X, Y, Z) number of each voxel inside, in the order of `numpy.argwhere`, -1 outside."""
+    index = np.full(inside.shape, -1)
+    index[inside] = np.arange(inside.sum())
+    return index
 
 
 def distance_to_surface(mesh: trimesh.Trimesh, points_mm: ArrayLike, edge_mm: float) -> Array:

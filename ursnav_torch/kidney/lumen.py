@@ -9,13 +9,15 @@ from ursnav_torch.errors import ShapeError
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.geodesic import ways_to
-from ursnav_torch.kidney.grid import LumenGrid
+from ursnav_torch.kidney.grid import LumenGrid, VoxelGrid
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Voxel for distances along the lumen, mm at scale 1.
 VOXEL_MM = 0.5
+#: A corner that is no voxel but the tip.
+AT_TIP = -1
 #: A calyx is observed from within this distance along the lumen, mm at scale 1.
 OBSERVED_WITHIN_MM = 14.0
 
@@ -28,14 +30,17 @@ class LumenDistance:
 
     Attributes:
         grid: the voxels of the lumen.
-        corner_mm: (C, V, 3) where the straight first part of the way to tip c from voxel v ends.
-        beyond_mm: (C, V) length of the rest of that way.
+        tips_mm: (C, 3) the calyces' tips.
+        corner: (C, V) int32, the voxel where the straight first part of the way to tip c from voxel v ends; `AT_TIP`
+            where it leads to the tip itself.
+        beyond_mm: (C, V) float32, length of the rest of that way.
         scale: the kidney's scale.
     """
 
-    grid: LumenGrid
-    corner_mm: Array
-    beyond_mm: Array
+    grid: VoxelGrid
+    tips_mm: Array
+    corner: NDArray[np.int32]
+    beyond_mm: NDArray[np.float32]
     scale: float
 
     @classmethod
@@ -43,11 +48,11 @@ class LumenDistance:
         """Distances for a kidney on voxels of ``voxel_mm`` (0.5 mm at scale 1 by default)."""
         grid = LumenGrid.from_mesh(kidney.mesh, voxel_mm or VOXEL_MM * kidney.scale)
         corner, beyond = [], []
-        for tip, seed in zip(kidney.tips_mm, grid.nearest(kidney.tips_mm), strict=True):
+        for seed in grid.nearest(kidney.tips_mm):
             ways = ways_to(grid, np.array([seed]))
-            corner.append(np.where((ways.corner == seed)[:, None], tip, grid.centers_mm[ways.corner]))
-            beyond.append(ways.length_mm[ways.corner])
-        return cls(grid, np.stack(corner), np.stack(beyond), kidney.scale)
+            corner.append(np.where(ways.corner == seed, AT_TIP, ways.corner).astype(np.int32))
+            beyond.append(ways.length_mm[ways.corner].astype(np.float32))
+        return cls(grid, kidney.tips_mm, np.stack(corner), np.stack(beyond), kidney.scale)
 
     def to_calyces(self, points_mm: ArrayLike) -> Array:
         """(N, C) distance in mm along the lumen from points (N, 3), kidney frame, to each calyx tip.
@@ -56,8 +61,9 @@ class LumenDistance:
         """
         points = np.asarray(points_mm, float).reshape(-1, 3)
         voxel = self.grid.nearest(points)
-        straight = np.linalg.norm(points[None] - self.corner_mm[:, voxel], axis=-1)
-        return (straight + self.beyond_mm[:, voxel]).T
+        corner = self.corner[:, voxel]
+        there = np.where((corner == AT_TIP)[..., None], self.tips_mm[:, None], self.grid.centers_mm[corner])
+        return (np.linalg.norm(points - there, axis=-1) + self.beyond_mm[:, voxel]).T
 
     def clearance_mm(self, points_mm: ArrayLike) -> Array:
         """(N,) distance in mm from points (N, 3), kidney frame, to the wall; negative outside the lumen."""

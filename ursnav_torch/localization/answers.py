@@ -37,7 +37,7 @@ class Location:
         T_kidney_camera: (4, 4).
         view: the best view.
         distance: its distance.
-        confidence: calibrated probability that ``calyx`` is right.
+        confidence: calibrated probability that ``calyx`` is right; nan where none was learned with these settings.
         accepted: false when the system would rather say "unsure".
         candidates: the best views, best first.
         features: what was seen in the picture.

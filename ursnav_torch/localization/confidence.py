@@ -67,21 +67,37 @@ class Confidence:
     """Logistic regression on the evidence (Platt 1999).
 
     Attributes:
-        weights: intercept, then one a number.
+        weights: intercept, then one a number; none where nothing was learned with the settings at hand.
     """
 
     weights: tuple[float, ...]
 
     @classmethod
-    def from_calibration(cls, calibration: Mapping[str, object] | None, refined: bool) -> "Confidence":
-        """From what the VID stored for answers with or without refinement; the plain vote without calibration."""
+    def from_calibration(
+        cls, calibration: Mapping[str, object] | None, refined: bool, settings: str | None = None
+    ) -> "Confidence":
+        """From what the VID stored for answers with or without refinement; the plain vote without calibration.
+
+        Args:
+            calibration: of the VID.
+            refined: whether answers are refined.
+            settings: of the search, as `Localizer.evidence_settings` says them; what was learned with others says
+                nothing of these. Not asked when None.
+        """
         learned = (calibration or {}).get("confidence")
         if isinstance(learned, Mapping):
+            if settings is not None and learned.get("settings", settings) != settings:
+                return cls(())
             return cls(tuple(float(w) for w in learned["refined" if refined else "nearest"]))
         return cls((0.0, 0.0, 0.0, 1.0, 0.0, 0.0) + (0.0,) * (REFINED_NUMBERS if refined else 0))
 
     def probability(self, numbers: Array) -> float:
-        """Probability in 0..1 that the answer is right, from its evidence numbers (N,); 0 where one is not finite."""
+        """Probability in 0..1 that the answer is right, from its evidence numbers (N,); 0 where one is not finite.
+
+        nan where nothing was learned with the settings at hand.
+        """
+        if not self.weights:
+            return math.nan
         if not np.all(np.isfinite(numbers)):
             return 0.0
         z = self.weights[0] + float(np.dot(self.weights[1:], numbers))

@@ -1,6 +1,6 @@
 """Learning how far answers can be trusted, from simulated pictures of the very kidney, when its VID is built."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.files import Progress, no_progress
-from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.localization.ambiguity import find_look_alikes
 from ursnav_torch.localization.confidence import REFINED_NUMBERS, fit
 from ursnav_torch.localization.locate import Localizer
@@ -49,7 +48,7 @@ def simulated_queries(
     ``in_vivo_like`` pictures are drawn in a kidney that has moved and swollen since the scan; their pose is the one
     relative to the wall around.
     """
-    views = plan_views(vid.kidney, LumenDistance.from_kidney(vid.kidney), plan)
+    views = plan_views(vid.kidney, vid.lumen, plan)
     renderer, names = make_renderer(vid.kidney.mesh, vid.camera), list(PRESETS)
     for i, (T, calyx) in enumerate(zip(views.T_kidney_camera, views.calyx, strict=True)):
         name = names[i % len(names)]
@@ -70,6 +69,7 @@ def learn_confidence(
     plan: PlanSettings,
     queries_per_calyx: int = 24,
     progress: Progress = no_progress,
+    make_localizer: Callable[[Vid], Localizer] = Localizer,
 ) -> dict[str, object]:
     """Locate simulated pictures from poses that are no views, and fit confidence to what came out.
 
@@ -79,14 +79,15 @@ def learn_confidence(
         plan: how the VID's views were planned; the queries are planned alike, with a seed of their own.
         queries_per_calyx: pictures of each calyx.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
+        make_localizer: with the settings that pictures will be located with; confidence holds for them alone.
 
     Returns:
         Plain data for `Confidence.from_calibration`.
     """
     rng = np.random.default_rng(plan.seed + 1)
     alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
-    localizer = Localizer(vid)
-    lumen = LumenDistance.from_kidney(vid.kidney)
+    localizer = make_localizer(vid)
+    lumen = vid.lumen
     found, shown, far = [], [], []
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
     with torch.inference_mode(), one_thread_an_operation(), progress(total, "pictures to learn from") as advance:
@@ -106,6 +107,7 @@ def learn_confidence(
     look_alikes = find_look_alikes(np.array(shown), answered, np.array(far), len(vid.kidney.calyces))
     return {
         "confidence": {
+            "settings": localizer.evidence_settings(),
             "refined": list(fit(numbers, right).weights),
             "nearest": list(fit(nearest, np.array(shown) == voted).weights),
         },

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ursnav_torch.alignment import RefinementSettings, Refiner
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import rotation_angle
-from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location
 from ursnav_torch.localization.confidence import Confidence, evidence, vote_weight
 from ursnav_torch.localization.settings import LocalizationSettings
@@ -53,20 +53,28 @@ class Localizer:
         self.vid, self.settings = vid, settings or LocalizationSettings()
         self._extractor = vid.extractor()
         self.search = ViewSearch(vid, search, matching, self._extractor.working_camera)
-        self._lumen = LumenDistance.from_kidney(vid.kidney)
         able = self.settings.refine and vid.features.maps.shape[1] > 0
-        self._refiner = Refiner(vid, alignment, self._lumen) if able else None
-        self._confidence = Confidence.from_calibration(vid.calibration, able)
+        self._refiner = Refiner(vid, alignment) if able else None
+        self._confidence = Confidence.from_calibration(vid.calibration, able, self.evidence_settings())
 
     @property
     def refines(self) -> bool:
         """Whether poses are refined: asked for, and possible with this VID's features."""
         return self._refiner is not None
 
+    @property
+    def knows_confidence(self) -> bool:
+        """Whether confidence was learned with these settings; if not it is nan, and no answer is accepted."""
+        return bool(self._confidence.weights)
+
+    def evidence_settings(self) -> str:
+        """The settings that evidence, and so confidence, depends on, in one line."""
+        alignment = self._refiner.settings if self._refiner else RefinementSettings()
+        return f"{self.search.matching} {self.search.settings} {alignment}"
+
     def described(self) -> str:
         """All settings in one line: two localizers of one VID that say the same give the same answers."""
-        alignment = self._refiner.settings if self._refiner else None
-        return f"{self.search.matching} {self.search.settings} {self.settings} {alignment}"
+        return f"{self.evidence_settings()} {self.settings}"
 
     def locate(self, image: NDArray[np.uint8]) -> Location:
         """The place of a picture (H, W) or (H, W, 3) blue, green, red, uint8, taken through the VID's lens.
@@ -102,13 +110,13 @@ class Localizer:
     def judge(self, features: Features) -> Judgement:
         """What a picture's features say, before anyone asks how sure that is."""
         ranking = self.search.rank(features)
-        calyces = observed_calyx(ranking.T_kidney_camera, self.vid.kidney, self._lumen)
+        calyces = observed_calyx(ranking.T_kidney_camera, self.vid.kidney, self.vid.lumen)
         seen = evidence(ranking.distance, calyces, features)
         if self._refiner is None:
             return Judgement(ranking, calyces, seen.calyx, seen.calyx, seen.numbers(), None, False)
         starts = self._distinct(ranking.T_kidney_camera, self._refiner.settings.hypotheses)
         refined = self._refiner.refine(features, [self._mean_of_views(ranking, i) for i in starts])
-        calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self._lumen)[0])
+        calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self.vid.lumen)[0])
         numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
         s = self.settings
         needed = s.min_score_to_override_calyx + (s.override_margin if calyx != seen.calyx else 0.0)

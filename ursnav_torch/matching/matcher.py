@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -14,6 +14,7 @@ from ursnav_torch.matching.descriptor import ShapeContext, fix_scale
 from ursnav_torch.matching.methods import Assignment, Correspondences, Method
 from ursnav_torch.matching.nearest import Nearest
 from ursnav_torch.matching.opencv import OpenCV
+from ursnav_torch.matching.paired import PairedViews
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
 from ursnav_torch.threads import map_chunks, one_thread_an_operation
 
@@ -64,7 +65,7 @@ class Matcher:
         weights: (V, P) how much a view's point counts as a neighbor, >= 0; 1 where left out.
         roll_center_px: (x, y) about which `settings.roll_deg` turns a query: the optical axis.
 
-    Memory is about 4 V P (D + 10) bytes: 56 MB for 2,000 views of 100 points.
+    Memory is about 4 V P (D + 10) bytes, 56 MB for 2,000 views of 100 points, once all views were compared.
     """
 
     def __init__(
@@ -86,13 +87,24 @@ class Matcher:
         self._empty = ~mask.any(1)
         self._shares = mask / mask.sum(1, keepdim=True).clamp_min(1)
         self._roll_center = torch.tensor(roll_center_px, dtype=torch.float32)
-        descriptor = fix_scale(settings.descriptor, self.points, mask)
+        self._descriptor = fix_scale(settings.descriptor, self.points, mask)
+        self._direction, self._weights = direction, weights
         if isinstance(settings.method, OpenCV):
             settings.method.extractor()
-        self.views = PreparedViews(self.points, mask, direction, weights, descriptor, settings.cost)
+        self.paired = PairedViews(self.points, mask, direction, weights, self._descriptor, settings.cost)
+        if (settings.cost.shares()[2] > 0 and direction is None) or settings.descriptor.frame == "tangent":
+            _ = self.views  # so that what is missing is told at once
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @cached_property
+    def views(self) -> PreparedViews:
+        """All views described at once, when the first query is compared with all of them."""
+        with torch.inference_mode(False):  # they outlive the mode they are asked for in
+            return PreparedViews(
+                self.points, self.mask, self._direction, self._weights, self._descriptor, self.settings.cost
+            )
 
     def distances(
         self,
@@ -152,7 +164,7 @@ class Matcher:
         own = self.settings.method
         method = Nearest(keep=1.0) if isinstance(own, OpenCV) else own
         along = None if direction is None else direction[known]
-        cost = self.views.paired_costs(points[known], along, views[known], weights)
+        cost = self.paired.costs(points[known], along, views[known], weights)
         found = method.assign(cost, self._shares[views[known]], shares)
         distance = found.distance
         if isinstance(own, OpenCV):

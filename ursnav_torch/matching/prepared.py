@@ -62,32 +62,6 @@ class PreparedViews:
             pair_cost.position_query(points - self._origin, self.cost),
         )
 
-    def paired_costs(
-        self, points: Tensor, direction: Tensor | None, views: Tensor, weights: Tensor | None = None
-    ) -> Tensor:
-        """Costs (Pq, K, P) of K queries, each against one view: one batched product for all of them.
-
-        Args:
-            points: (K, Pq, 2) px.
-            direction: (K, Pq) radians, or None.
-            views: (K,) int64.
-            weights: (Pq,) how much a query's point counts as a neighbor, in all K alike; 1 where left out.
-        """
-        mask = torch.ones(points.shape[:2], dtype=torch.bool)
-        neighbors = None if weights is None else weights.expand(len(points), -1)
-        histograms = describe(points, mask, self.descriptor, direction, neighbors)
-        cost = torch.bmm(pair_cost.query_features(histograms, direction, self.cost), self._of(self._features, views))
-        if self._position is not None:
-            far = torch.bmm(pair_cost.position_query(points - self._origin, self.cost), self._of(self._position, views))
-            cost.add_(far.clamp_(0.0, 1.0).sqrt_(), alpha=self._shares[1])
-        if self._histograms is not None:
-            pair_cost.add_paired_chi2(cost, self._of(self._histograms, views), histograms, self._shares[0])
-        return cost.transpose(0, 1)
-
-    def _of(self, columns: Tensor, views: Tensor) -> Tensor:
-        """The columns (F, V P) of single views (K,): (K, F, P)."""
-        return columns.view(len(columns), -1, self.mask.shape[1])[:, views].transpose(0, 1)
-
     def costs(self, query: PreparedQuery, part: slice) -> Tensor:
         """Costs (Pq, K, P) of the query's points against the views of a slice; ABSENT and more at no point.
 

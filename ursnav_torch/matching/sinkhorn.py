@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.matching.cost import ABSENT
 from ursnav_torch.matching.methods import Assignment, Correspondences
 
 _TINY = 1e-30
@@ -43,6 +44,9 @@ class Sinkhorn:
         tolerance: marginal error at which to stop. A `ConvergenceWarning` tells of a view that is not there
             after the last iteration; infinity runs all iterations and never warns.
         domain: "plain" is fastest; "log" holds for any epsilon.
+        dummy_cost: cost of leaving a point unmatched, of the query (clutter) or of the view (an edge that is missing
+            in the query): either set gets a dummy that takes any of the other's mass at this price, so that a pair
+            dearer than two dummies is none. None matches all mass.
         double: compute in float64.
     """
 
@@ -50,9 +54,12 @@ class Sinkhorn:
     iterations: int = 200
     tolerance: float = 1e-2
     domain: Literal["plain", "log"] = "plain"
+    dummy_cost: float | None = None
     double: bool = False
 
     def __post_init__(self) -> None:
+        if self.dummy_cost is not None and not self.dummy_cost > 0:
+            raise InputError(f"dummy_cost must be > 0, or null for no dummies; got {self.dummy_cost}.")
         if not self.epsilon > 0 or self.iterations < 1 or not self.tolerance > 0:
             raise InputError(
                 f"Sinkhorn needs epsilon > 0, iterations >= 1 and tolerance > 0, "
@@ -70,10 +77,13 @@ class Sinkhorn:
         return distances
 
     def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
-        """See `Method.assign`: the transport plan's largest entry of each query point, as a share of its mass."""
+        """See `Method.assign`: the transport plan's largest entry of each query point, as a share of its mass.
+
+        Mass that goes to a dummy is the query point's, too: clutter has little strength.
+        """
         moved = self.transport(cost, shares, weights)
         mass, view_point = moved.plan.max(2)
-        strength = mass / moved.plan.sum(2).clamp_min(_TINY)
+        strength = mass / weights.clamp_min(_TINY)[:, None]
         return Assignment(moved.cost.float(), view_point.T, strength.T.float())
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
@@ -82,6 +92,16 @@ class Sinkhorn:
         view = self.transport(cost[:, None], even, weights).plan[:, 0].argmax(1)
         query = torch.arange(len(cost))
         return Correspondences(query, view, cost[query, view])
+
+    def _with_dummies(
+        self, solve: Callable[[Tensor, Tensor, Tensor, "Sinkhorn"], Transport], cost: Tensor, target: Tensor,
+        source: Tensor,
+    ) -> Transport:  # fmt: skip
+        """The plan between the points alone; what leaving points unmatched costs is part of the cost."""
+        if self.dummy_cost is None:
+            return solve(cost, target, source, self)
+        found = solve(*_augmented(cost, target, source, self.dummy_cost), self)
+        return Transport(found.cost, found.plan[:-1, :, :-1], found.marginal_error)
 
     def transport(self, cost: Tensor, target: Tensor, weights: Tensor) -> Transport:
         """Plans from query points to the points of each view.
@@ -95,7 +115,7 @@ class Sinkhorn:
         target = target.to(dtype) / target.to(dtype).sum(1, keepdim=True)
         source = weights.to(dtype) / weights.to(dtype).sum()
         solve = _plain if self.domain == "plain" else _log
-        result = solve(cost.to(dtype), target, source, self)
+        result = self._with_dummies(solve, cost.to(dtype), target, source)
         worst = float(result.marginal_error.nan_to_num().max()) if len(target) else 0.0
         if worst > self.tolerance:
             warnings.warn(
@@ -107,23 +127,34 @@ class Sinkhorn:
         return result
 
 
+def _augmented(cost: Tensor, target: Tensor, weights: Tensor, dummy_cost: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Costs (Pq + 1, V, P + 1), target (V, P + 1) and weights (Pq + 1,) with a dummy on either side.
+
+    A dummy holds as much mass as all of the other side's points; dummy to dummy is free.
+    """
+    wide = torch.nn.functional.pad(cost, (0, 1, 0, 0, 0, 1), value=dummy_cost)
+    wide[-1, :, -1] = 0.0
+    wide[-1, :, :-1].masked_fill_(target <= 0, ABSENT)
+    ones = torch.ones(len(target), 1, dtype=target.dtype)
+    return wide, torch.cat([target, ones], 1), torch.cat([weights, weights.new_ones(1)])
+
+
 def _plain(cost: Tensor, target: Tensor, weights: Tensor, settings: Sinkhorn) -> Transport:
-    """Scaling iterations on ``exp(-cost / epsilon)``."""
-    kernel = (cost / -settings.epsilon).exp_()
-    buffer = torch.empty_like(kernel)
-    source = weights[:, None]
+    """Scaling iterations on ``exp(-cost / epsilon)``: two batched matrix-vector products each."""
+    kernel = (cost.transpose(0, 1) / -settings.epsilon).exp_()  # (V, Pq, P)
+    source = weights.expand(len(target), -1)
     v = torch.ones_like(target)
+    left = kernel.sum(2)
     for step in range(1, settings.iterations + 1):
-        left = torch.mul(kernel, v, out=buffer).sum(2)
         u = source / left.clamp_min_(_TINY)
-        v = target / torch.mul(kernel, u[:, :, None], out=buffer).sum(0).clamp_min_(_TINY)
+        v = target / torch.bmm(u[:, None], kernel)[:, 0].clamp_min_(_TINY)
+        left = torch.bmm(kernel, v[:, :, None])[:, :, 0]
         if _last(step, settings):
-            left = torch.mul(kernel, v, out=buffer).sum(2)
-            error = (u * left - source).abs().sum(0)
+            error = (u * left - source).abs().sum(1)
             if step == settings.iterations or float(error.nan_to_num().max()) <= settings.tolerance:
                 break
-    plan = kernel.mul_(v).mul_(u[:, :, None])
-    return Transport(torch.mul(plan, cost, out=buffer).sum((0, 2)), plan, error)
+    plan = kernel.mul_(v[:, None]).mul_(u[:, :, None]).transpose(0, 1)
+    return Transport((plan * cost).sum((0, 2)), plan, error)
 
 
 def _log(cost: Tensor, target: Tensor, weights: Tensor, settings: Sinkhorn) -> Transport:

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.exploration.coverage import Coverage
-from ursnav_torch.exploration.route import Route, ScopeLimits, route_to
+from ursnav_torch.exploration.route import Route, route_to
+from ursnav_torch.exploration.settings import ExplorationSettings
 from ursnav_torch.exploration.target import next_target
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.navigation.state import Guidance
@@ -23,12 +24,14 @@ class Guide:
     Args:
         vid: the kidney, its lens, and the views that tell what is within reach.
         lumen: distances along its lumen.
-        limits: what the scope can do.
+        settings: when wall counts as seen, and what the scope can do.
     """
 
-    def __init__(self, vid: Vid, lumen: LumenDistance, limits: ScopeLimits | None = None) -> None:
-        self.kidney, self.limits = vid.kidney, limits or ScopeLimits()
-        self.coverage = Coverage(vid.kidney, vid.camera, lumen, vid.T_kidney_camera[::REACH_STRIDE])
+    def __init__(self, vid: Vid, lumen: LumenDistance, settings: ExplorationSettings | None = None) -> None:
+        settings = settings or ExplorationSettings()
+        self.kidney, self.limits = vid.kidney, settings.limits
+        reach = vid.T_kidney_camera[::REACH_STRIDE]
+        self.coverage = Coverage(vid.kidney, vid.camera, lumen, reach, settings.coverage)
         self.chosen = -1
         self._at = vid.kidney.pelvis_mm
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ursnav_torch.devices import Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
-from ursnav_torch.exploration.route import ScopeLimits
+from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import Features
 from ursnav_torch.navigation.bus import Newest, StateBus
 from ursnav_torch.navigation.effort import WORDS, Governor
@@ -67,7 +67,7 @@ class Navigator:
 
     Args:
         tracker: what locates pictures.
-        limits: what the scope can do, for the way on.
+        exploration: when wall counts as seen, and what the scope can do.
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
     """
@@ -75,12 +75,12 @@ class Navigator:
     def __init__(
         self,
         tracker: Tracker,
-        limits: ScopeLimits | None = None,
+        exploration: ExplorationSettings | None = None,
         sensor: Sensor | None = None,
         governor: Governor | None = None,
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
-        self.guide = Guide(tracker.vid, tracker.lumen, limits)
+        self.guide = Guide(tracker.vid, tracker.lumen, exploration)
         self.located, self._pace = 0, Pace()
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()

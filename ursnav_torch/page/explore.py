@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
-from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization import LookAlikes
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.page.commands import Command
@@ -43,7 +43,7 @@ class ExplorePage:
         self, vid: Vid, out: Path | None, overwrite: bool = False, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
         self.vid, self._out, self._overwrite = vid, out, overwrite
-        self.lumen, self.collection = LumenDistance.from_kidney(vid.kidney), Collection(vid.kidney)
+        self.lumen, self.collection = vid.lumen, Collection(vid.kidney)
         self._renderer, self._wall = RaycastRenderer(vid.kidney.mesh, vid.camera), RayScene(vid.kidney.mesh)
         start = vid.kidney.pelvis_mm
         self.T_kidney_camera = look_along(start, vid.kidney.tips_mm.mean(axis=0) - start)

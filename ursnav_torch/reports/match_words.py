@@ -35,7 +35,7 @@ def answer_words(row: Mapping[str, Any], truth: str | None) -> dict[str, Any]:
         "answer": answer,
         "tone": "no" if wrong or not located else "yes" if sure else "unsure",
         "states": " ".join(state for state, holds in states.items() if holds),
-        "detail": f"{row['confidence']:.0%}" if located else str(row.get("error", "")),
+        "detail": _percent(row["confidence"]) if located else str(row.get("error", "")),
         "calyces": str(row.get("calyces") or "").replace("|", ", "),
         "truth_words": "" if truth is None else truth or "(none)",
     }
@@ -81,3 +81,8 @@ def filters_of(entries: Sequence[Mapping[str, Any]], groups: Mapping[str, str]) 
 
 def _be(count: int) -> str:
     return "is" if count == 1 else "are"
+
+
+def _percent(confidence: float | None) -> str:
+    """A confidence for people to read; with settings that none was learned for there is none."""
+    return "not known" if confidence is None else f"{confidence:.0%}"

@@ -13,7 +13,7 @@ from ursnav_torch.devices import Frame
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.files import whole_file
 from ursnav_torch.geometry import transform_from_quaternion
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import Kidney
 from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
@@ -109,7 +109,7 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
         path: of the file.
     """
     figures = session_figures(replay, vid.kidney)
-    coverage = Coverage(vid.kidney, vid.camera, LumenDistance.from_kidney(vid.kidney), vid.T_kidney_camera[::4])
+    coverage = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     for T, seconds in zip(figures.T_kidney_camera, passed, strict=True):
         coverage.add(T, float(seconds))

@@ -4,18 +4,19 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
 from ursnav_torch.reports.session import write_session_report
 from ursnav_torch.session import Recorder, Replay, Rig
 from ursnav_torch.simulation import World
 from ursnav_torch.tracking.tracker import Tracker
-from ursnav_torch.vid import MakeRenderer, Vid
+from ursnav_torch.vid import MakeRenderer
 
 REPORT = "report.html"
 
 
 def navigate_vid(
-    vid: Vid,
+    tracker: Tracker,
     hardware: Replay | Callable[..., Rig],
     make_renderer: MakeRenderer,
     page: Page | None = None,
@@ -26,11 +27,12 @@ def navigate_vid(
     latency_s: float = 0.13,
     overwrite: bool = False,
     config: Mapping[str, Any] | None = None,
+    exploration: ExplorationSettings | None = None,
 ) -> str:
     """Navigate in a VID's kidney until the session ends; record it and report on it where ``out`` says.
 
     Args:
-        vid: the views; a simulated scope is in its kidney and looks through its lens.
+        tracker: follows the scope in a VID; a simulated scope is in its kidney and looks through its lens.
         hardware: a record, or what builds a rig (a partial of `session.build_rig`).
         make_renderer: draws a simulated scope's pictures.
         page: what shows it, or None.
@@ -40,6 +42,7 @@ def navigate_vid(
         latency_s: time to a pose above which less is done with every picture.
         overwrite: replace what stands in ``out``.
         config: the session's configuration, kept with the record.
+        exploration: when wall counts as seen, and what the scope can do.
 
     Returns:
         The summary, for people to read.
@@ -50,7 +53,8 @@ def navigate_vid(
     """
     recorder = None if out is None else Recorder(out, config, overwrite)
     sensor = None if em_to_kidney is None else sensor_in_kidney(em_to_kidney, sensor_offset_mm or [0.0, 0.0, 0.0])
-    navigator = Navigator(Tracker(vid), sensor=sensor, governor=Governor(latency_s))
+    vid = tracker.vid
+    navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s))
 
     def world() -> World:
         return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera))

@@ -1,6 +1,7 @@
 """Many pictures, one row each: what the `match` runner writes."""
 
 import glob
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def match_row(location: Location) -> dict[str, Any]:
         **pose_cells(pose[None])[0],
         "view": location.view,
         "distance": location.distance,
-        "confidence": location.confidence,
+        "confidence": None if math.isnan(location.confidence) else location.confidence,
         "accepted": location.accepted,
         "seconds": location.seconds,
     }

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, SourceAtEndError
 from ursnav_torch.errors import InputError
+from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, write_image, write_json
@@ -72,10 +73,18 @@ def track_source(
             process writes the same result, or the disk is full.
     """
     paths = track_results(out, besides)
-    work = {"vid": str(tracker.vid.folder), "source": source.what, "offline": offline, "inputs": besides.fingerprints()}
+    work = {
+        "vid": str(tracker.vid.folder),
+        "source": source.what,
+        "offline": offline,
+        "settings": tracker.described(),
+        "exploration": str(besides.exploration),
+        "inputs": besides.fingerprints(),
+    }
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
-            summary, ended = _tracked(tracker, source, whole, instruments or Instruments(), progress, offline)
+            summary, ended = _tracked(tracker, source, whole, instruments or Instruments(), progress, offline,
+                                      besides.exploration)  # fmt: skip
             whole.outcome = [summary + besides.write(whole), ended]
     told, ended = whole.outcome
     return str(told), bool(ended)
@@ -87,14 +96,21 @@ def track_results(out: Path, besides: Besides) -> tuple[Path, ...]:
 
 
 def _tracked(
-    tracker: Tracker, source: Source, whole: WholeSet, instruments: Instruments, progress: Progress, offline: bool
+    tracker: Tracker,
+    source: Source,
+    whole: WholeSet,
+    instruments: Instruments,
+    progress: Progress,
+    offline: bool,
+    exploration: ExplorationSettings,
 ) -> tuple[str, bool]:
     """Track, write rows and coverage; the summary, and whether the source was tracked to its end."""
     out, *beside = whole.paths[:3]
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
     spent, start, interrupted = list[float](), time.perf_counter(), False
     with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
-        coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
+        reach = vid.T_kidney_camera[::_REACH_STRIDE]
+        coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, reach, exploration.coverage)
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
@@ -113,7 +129,7 @@ def _tracked(
         if not states:
             raise InputError(f"{source.what} gave no picture at all.")
     rate = len(spent) / (time.perf_counter() - start)
-    report = coverage_report(coverage, last)
+    report = coverage_report(coverage, last, exploration.limits)
     write_json(whole.staged(beside[0]), report | {"pictures": states, "ended": ended})
     write_image(whole.staged(beside[1]), draw_coverage(coverage))
     summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)

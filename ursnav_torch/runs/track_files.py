@@ -1,6 +1,6 @@
 """A track's rows again: written for other tools, and scored where the true poses are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm, write_tum
+from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.files import fingerprint, write_json
 from ursnav_torch.results import WholeSet
 from ursnav_torch.tables import number, read_csv, whole_number
@@ -114,11 +115,13 @@ class Besides:
         truth: the true poses, or None.
         tum: whether ``.tum`` is asked for.
         inputs: files and folders that the track is made from; they tell it from another track of the same name.
+        exploration: when wall counts as seen, and what the scope can do.
     """
 
     truth: Truth | None = None
     tum: bool = False
     inputs: tuple[Path, ...] = ()
+    exploration: ExplorationSettings = field(default_factory=ExplorationSettings)
 
     def paths(self, out: Path) -> tuple[Path, ...]:
         """The files to be made beside the rows in ``out``."""

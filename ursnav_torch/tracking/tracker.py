@@ -17,7 +17,7 @@ from ursnav_torch.alignment import Refined, RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, EdgePoints, Features
-from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
@@ -84,7 +84,6 @@ class Tracker:
 
     Args:
         vid: the views; their features must have maps (the default features have).
-        lumen: distances along the lumen; made when None.
         settings: how to weigh and what moves how; lengths at the kidney's scale 1.
         search, matching: how the VID is searched; `VIDEO_SEARCH` when None.
         refinement: how poses are refined.
@@ -99,7 +98,6 @@ class Tracker:
     def __init__(
         self,
         vid: Vid,
-        lumen: LumenDistance | None = None,
         settings: TrackSettings | None = None,
         search: SearchSettings | None = None,
         matching: Matching | None = None,
@@ -109,10 +107,10 @@ class Tracker:
             raise InputError(
                 f"The VID {vid.folder} has features without maps, which tracking needs; build it with features=default."
             )
-        self.vid, self.lumen = vid, lumen or LumenDistance.from_kidney(vid.kidney)
+        self.vid, self.lumen = vid, vid.lumen
         self.settings = s = scaled(settings or TrackSettings(), vid.kidney.scale)
         self._refiner = Refiner(
-            vid, refinement or RefinementSettings(s.challenger.starts + 3, iterations=6, fine_rounds=1), self.lumen
+            vid, refinement or RefinementSettings(s.challenger.starts + 3, iterations=6, fine_rounds=1)
         )
         self._full_refinement = self._refiner.settings
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
@@ -125,6 +123,11 @@ class Tracker:
         self._places = vid.T_kidney_camera[:: max(len(vid) // _PLACES, 1), :3, 3]
         self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion)
         self.reset()
+
+    def described(self) -> str:
+        """All settings in one line: two trackers of one VID that say the same give the same answers."""
+        views = self._filter.search
+        return f"{self.settings} {views.settings} {views.matching} {self._full_refinement}"
 
     def ease(self, level: int) -> None:
         """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.

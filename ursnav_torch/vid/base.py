@@ -10,7 +10,7 @@ from torch import Tensor
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Extractor, Settings, make_extractor
-from ursnav_torch.kidney import Kidney
+from ursnav_torch.kidney import Kidney, LumenDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +47,7 @@ class Vid:
         calyx: (V,) int, index into ``kidney.calyces``, -1 where a view observes none.
         features: of every view.
         folder: where it was loaded from.
+        lumen: distances along the kidney's lumen, found when the VID was built.
         calibration: what the build learned about confidence from simulated queries; plain numbers.
     """
 
@@ -57,6 +58,7 @@ class Vid:
     calyx: NDArray[np.int64]
     features: ViewFeatures
     folder: Path
+    lumen: LumenDistance
     calibration: dict[str, object] | None = None
 
     def __len__(self) -> int:

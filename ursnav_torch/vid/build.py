@@ -66,14 +66,14 @@ def build_vid(
     compute = compute or LocalCompute(workers)
     compute.check_folder(out.parent)
     with whole_folder(out, overwrite, resume=True) as work:
-        views = _planned(kidney, plan, compute)
+        views, lumen = _planned(kidney, plan, compute)
         pictures = () if isinstance(plan, PlanSettings) else plan.pictures
         studio = Studio(kidney.mesh, camera, settings, make_renderer, pictures)
         _prepare(work, _fingerprint(studio, views))
         with progress(len(views.calyx), "views") as advance:
             _draw_all(studio, views.T_kidney_camera, work, compute, advance)
         shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
-        vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work)
+        vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work, lumen)
         if learn is not None:
             vid = replace(vid, calibration=learn(vid, progress=progress))
         save_vid(vid, work)
@@ -92,14 +92,16 @@ def _prepare(work: Path, fingerprint: str) -> None:
     mark.write_text(fingerprint)
 
 
-def _planned(kidney: Kidney, plan: PlanSettings | CollectedViews, compute: Compute) -> Plan:
+def _planned(kidney: Kidney, plan: PlanSettings | CollectedViews, compute: Compute) -> tuple[Plan, LumenDistance]:
     if not isinstance(plan, PlanSettings):
-        return plan.plan(kidney, LumenDistance.from_kidney(kidney))
+        lumen = LumenDistance.from_kidney(kidney)
+        return plan.plan(kidney, lumen), lumen
     return next(iter(list(compute.map(_plan, kidney, [(plan,)]))))
 
 
-def _plan(kidney: Kidney, settings: PlanSettings) -> Plan:
-    return plan_views(kidney, LumenDistance.from_kidney(kidney), settings)
+def _plan(kidney: Kidney, settings: PlanSettings) -> tuple[Plan, LumenDistance]:
+    lumen = LumenDistance.from_kidney(kidney)
+    return plan_views(kidney, lumen, settings), lumen
 
 
 def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, compute: Compute, advance: Advance) -> None:

@@ -21,10 +21,11 @@ from ursnav_torch.records import read_json
 from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.vid.base import Vid
 from ursnav_torch.vid.draw import check_features, load_features, save_features
+from ursnav_torch.vid.lumen_file import load_lumen, save_lumen
 
-#: Features of another format are no longer comparable with those that this version extracts.
-FORMAT = 2
-_FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "views.csv", "features.safetensors")
+#: Another format has features that are no longer comparable, or lacks what a VID holds now.
+FORMAT = 3
+_FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "lumen.safetensors", "views.csv", "features.safetensors")
 
 
 def save_vid(vid: Vid, folder: Path) -> None:
@@ -35,6 +36,7 @@ def save_vid(vid: Vid, folder: Path) -> None:
     write_centerline(folder / "centerline.csv", vid.kidney.centerline, names)
     write_csv(folder / "views.csv", VIEW_COLUMNS, view_rows(vid))
     save_features(folder / "features.safetensors", vid.features)
+    save_lumen(folder / "lumen.safetensors", vid.lumen)
     write_description(folder, describe(vid))
 
 
@@ -78,7 +80,8 @@ def load_vid(path: str | Path) -> Vid:
     settings = settings_from_dict(description["features"])
     features = load_features(folder / "features.safetensors")
     check_features(features, len(rows), settings.points, f"{folder / 'features.safetensors'}")
-    return Vid(kidney, camera, settings, T, calyx, features, folder, description.get("calibration"))
+    lumen = load_lumen(folder / "lumen.safetensors", kidney)
+    return Vid(kidney, camera, settings, T, calyx, features, folder, lumen, description.get("calibration"))
 
 
 def view_rows(vid: Vid) -> list[dict[str, Any]]:

@@ -1,0 +1,14 @@
+"""How an exploration is judged and guided."""
+
+from dataclasses import dataclass, field
+
+from ursnav_torch.exploration.coverage import CoverageSettings
+from ursnav_torch.exploration.route import ScopeLimits
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationSettings:
+    """When wall counts as seen, and what the scope can do, see each part."""
+
+    coverage: CoverageSettings = field(default_factory=CoverageSettings)
+    limits: ScopeLimits = field(default_factory=ScopeLimits)
