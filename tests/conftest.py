@@ -1,6 +1,7 @@
 """What many tests share: a small phantom kidney, its VID, and a way to call runners in this process."""
 
 import os
+import random
 import re
 import sys
 from collections.abc import Callable
@@ -22,6 +23,9 @@ from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
 properties.register_profile("untimed", deadline=None)  # a busy machine is no counterexample
 properties.load_profile("untimed")
 torch.set_num_threads(1)  # pictures are small: more threads only wait for each other
+if "URSNAV_TEST_SEED" in os.environ:  # whatever draws without a seed of its own must not matter
+    torch.manual_seed(int(os.environ["URSNAV_TEST_SEED"]))
+    random.seed(int(os.environ["URSNAV_TEST_SEED"]))
 
 
 @dataclass(frozen=True, slots=True)

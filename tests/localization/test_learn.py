@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.localization import learn
 from ursnav_torch.localization.learn import NONE_SHARE, learn_confidence, simulated_queries
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings, Vid, plan_views
@@ -27,6 +26,9 @@ class AlwaysFirst:
 
     def features(self, image: np.ndarray) -> np.ndarray:
         return image
+
+    def evidence_settings(self) -> str:
+        return "always the first"
 
     def judge(self, features: np.ndarray) -> SimpleNamespace:
         return SimpleNamespace(numbers=self._rng.normal(size=NUMBERS), calyx=0, voted=1)
@@ -51,8 +53,8 @@ def learned(vid: Vid) -> Learned:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RaycastRenderer, "render", remembering)
-        patch.setattr(learn, "Localizer", AlwaysFirst)
-        return Learned(learn_confidence(vid, RaycastRenderer, PLAN, queries_per_calyx=2), drawn)
+        found = learn_confidence(vid, RaycastRenderer, PLAN, 2, make_localizer=AlwaysFirst)  # type: ignore[arg-type]
+        return Learned(found, drawn)
 
 
 def nearest(poses: list[np.ndarray], views: np.ndarray) -> np.ndarray:
@@ -75,6 +77,7 @@ def test_what_is_counted_right_is_the_answer_and_pictures_of_nothing_never_are(v
     counts = np.array(found["look_alikes"]["counts"])
     assert counts.sum() == asked == counts[:, 0].sum()  # calyx 0 was the answer to all, nothing is no row
     assert 2 <= found["right"] == counts[0, 0] < 5
+    assert found["confidence"]["settings"] == "always the first"
     assert len(found["confidence"]["refined"]) == 1 + NUMBERS
     assert len(found["confidence"]["nearest"]) == 1 + NUMBERS - 2
 

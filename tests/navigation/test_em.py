@@ -52,7 +52,7 @@ def test_what_cannot_be_used_is_refused(registration):
 
 
 @pytest.fixture(scope="module")
-def tracker(vid, phantom_lumen):
+def tracker(vid):
     return Tracker(vid)
 
 
