@@ -19,6 +19,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
+from ursnav_torch.tracking.belief import REGION_90
 from ursnav_torch.tracking.follow import Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.odometry import OdometryReading
@@ -105,6 +106,8 @@ def join(
     answers = []
     for f, b in zip(forward, backward, strict=True):
         seen = b if b.state == TRACKING or not (f.state == TRACKING and b.state == SEARCHING) else f
+        if f.state == SEARCHING == b.state:
+            seen = _fused(f, b, tracker) or seen
         answers.append(replace(seen, seconds=f.seconds + b.seconds))
     for start, stop in _stretches([a.state == TRACKING for a in answers]):
         here = slice(start, stop)
@@ -120,6 +123,22 @@ def join(
     return answers
 
 
+def _fused(f: Tracked, b: Tracked, tracker: Tracker) -> Tracked | None:
+    """Two beliefs of one place, neither of them narrow enough alone: together, where that is; None where it is not.
+
+    The product of both ways' distributions (two-filter smoother, Fraser and Potter, IEEE TAC 14:387, 1969).
+    """
+    s = tracker.settings
+    if f.T_kidney_camera is None or b.T_kidney_camera is None or min(f.right, b.right) < s.place.sure:
+        return None
+    near_mm, near_deg = s.filter.same_place_mm, s.filter.same_place_deg
+    if not are_near(f.T_kidney_camera[None], b.T_kidney_camera, near_mm, near_deg)[0]:
+        return None
+    sd = float((f.position_sd_mm**-2 + b.position_sd_mm**-2) ** -0.5)
+    nearer = f if f.position_sd_mm <= b.position_sd_mm else b
+    return replace(nearer, state=TRACKING, position_sd_mm=sd) if sd * REGION_90 <= s.place.largest_mm else None
+
+
 def _smoothed(
     answers: Sequence[Tracked],
     ways: Sequence[tuple[Tracked, Tracked]],
@@ -132,7 +151,7 @@ def _smoothed(
     calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen).tolist()
     result = []
     for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
-        believed = [a for a in both if a.state == TRACKING]
+        believed = [a for a in both if a.state == TRACKING] or [a for a in both if a.T_kidney_camera is not None]
         agree = [a.confidence if a.calyx == calyx else 1 - a.confidence for a in believed]
         moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)))
         result.append(moved if m is None else replace(moved, score=m.score, T_aligned=m.T_kidney_camera))
