@@ -170,9 +170,10 @@ class PoseBelief:
             self, T_kidney_camera=_orthonormal(T), twist=self.twist + gain[6:], covariance=_symmetric(P - K @ P[:3])
         )
 
-    def drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Poses (count, 4, 4) drawn from the belief."""
-        steps = rng.multivariate_normal(np.zeros(6), self.covariance[:6, :6], count, method="cholesky")
+    def drawn(self, count: int, rng: np.random.Generator, least_mm: float = 0.0, least_deg: float = 0.0) -> Array:
+        """Poses (count, 4, 4) drawn from the belief, as if it were less sure by so much."""
+        P = self.covariance[:6, :6] + np.diag(np.repeat([least_mm, np.radians(least_deg)], 3) ** 2)
+        steps = rng.multivariate_normal(np.zeros(6), P, count, method="cholesky")
         return np.array([moved(self.T_kidney_camera, step) for step in steps])
 
 

@@ -129,7 +129,7 @@ class Pursuit:
         s, belief = self._settings, picture.belief
         if belief is None or not s.particles or found.score >= self._usual - s.usual_drop:
             return found
-        drawn = [found.T_kidney_camera, *belief.drawn(s.particles - 1, self._rng)]
+        drawn = [found.T_kidney_camera, *belief.drawn(s.particles - 1, self._rng, s.particle_mm, s.particle_deg)]
         other = self._aligned(picture, drawn, picture.prior)
         worth = [r.score + float(picture.prior(r.T_kidney_camera[None])[0]) for r in (found, other)]
         return other if worth[1] > worth[0] else found

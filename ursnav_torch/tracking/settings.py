@@ -55,6 +55,8 @@ class ChallengerSettings:
         max_step: a single picture counts for no more steps than this.
         takeover_evidence: so many steps, and the challenger becomes the incumbent.
         particles: poses drawn from the belief and aligned, too, where the incumbent is aligned worse than of late.
+        particle_mm, particle_deg: they are spread by this beyond the belief: a motion that was foreseen wrongly is
+            not known to have been.
         usual_drop: worse by this.
         usual_memory: share of what alignments scored of late that a picture leaves.
         draw_scale, draw_mm, draw_deg: where the track is looked for anew, poses are drawn around hypotheses, too; one
@@ -70,6 +72,8 @@ class ChallengerSettings:
     max_step: float = 2.0
     takeover_evidence: float = 3.0
     particles: int = 8
+    particle_mm: float = 0.4
+    particle_deg: float = 3.0
     usual_drop: float = 0.1
     usual_memory: float = 0.9
     draw_scale: float = 0.3
