@@ -23,7 +23,9 @@ def main(config: Any) -> None:
     out = caller_path(config.out)
     check_set((out, out.with_suffix(".png")), config.overwrite)
     base, paths = find_images(str(caller_path(config.images)))
-    result = calibrate_camera({path.relative_to(base).as_posix(): read_image(path) for path in paths}, board)
+    result = calibrate_camera(
+        {path.relative_to(base).as_posix(): read_image(path) for path in paths}, board, config.model
+    )
     save_calibration(result, out, config.overwrite)
     print(summary(result))
 

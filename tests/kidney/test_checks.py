@@ -63,7 +63,7 @@ def test_crumbs_of_up_to_3_percent_are_dropped_and_listed(
 @pytest.mark.parametrize("seam", [1e-5, 3e-4, 9e-4])
 def test_corners_that_a_writer_rounded_anew_are_welded(mesh: trimesh.Trimesh, seam: float) -> None:
     loose = trimesh.Trimesh(mesh.triangles.reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3), process=False)
-    loose.vertices += np.random.default_rng(0).uniform(-seam / 4, seam / 4, loose.vertices.shape)
+    loose.vertices = loose.vertices + np.random.default_rng(0).uniform(-seam / 4, seam / 4, loose.vertices.shape)
     checked = check_lumen(loose, "a.stl", 1.0)
     assert checked.is_watertight and len(checked.vertices) == len(mesh.vertices)
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import whole_file
 
-BOARDS = ("charuco", "chessboard")
+BOARDS = ("charuco", "chessboard", "circles", "asymmetric_circles")
 #: Pictures are enlarged to at least this width before corners are sought: a scope's 250 px are few for a marker.
 DETECTION_WIDTH_PX = 700
 MIN_CORNERS = 6
+_CIRCLES = ("circles", "asymmetric_circles")
 _PRINT_PX_PER_MM = 600 / 25.4
 
 
@@ -25,9 +26,10 @@ class Board:
     """A flat printed board.
 
     Args:
-        kind: ``charuco`` (chessboard with markers; may be partly out of the picture) or ``chessboard``.
-        columns, rows: squares across and down.
-        square_mm: side of a square.
+        kind: ``charuco`` (chessboard with markers; may be partly out of the picture), ``chessboard``, ``circles`` (dots
+            in rows and columns) or ``asymmetric_circles`` (every second row shifted by half a step).
+        columns, rows: squares across and down; of circles, dots in a row, and rows.
+        square_mm: side of a square; from a row of circles to the next.
         marker_mm: side of a charuco marker.
         dictionary: charuco marker dictionary, OpenCV's name without ``DICT_``.
 
@@ -69,6 +71,8 @@ def board_picture(board: Board, px_per_mm: float) -> NDArray[np.uint8]:
     side = max(round(board.square_mm * px_per_mm), 8)
     if board.kind == "charuco":
         picture = _charuco(board).generateImage((board.columns * side, board.rows * side), marginSize=0)
+    elif board.kind in _CIRCLES:
+        return _circles_picture(board, side)
     else:
         squares = np.indices((board.rows, board.columns)).sum(axis=0) % 2
         picture = np.kron(squares, np.full((side, side), 255)).astype(np.uint8)
@@ -93,7 +97,8 @@ def find_corners(image: NDArray[np.uint8], board: Board) -> Corners | None:
     gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     scale = max(math.ceil(DETECTION_WIDTH_PX / gray.shape[1]), 1)
     large = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    found = _charuco_corners(large, board) if board.kind == "charuco" else _chessboard_corners(large, board)
+    finders = {"charuco": _charuco_corners, "chessboard": _chessboard_corners}
+    found = finders.get(board.kind, _circle_centers)(large, board)
     if found is None or len(found[1]) < MIN_CORNERS or np.linalg.matrix_rank(found[0] - found[0].mean(axis=0)) < 2:
         return None
     return Corners(found[0].astype(float), (found[1].astype(float) + 0.5) / scale - 0.5)
@@ -132,6 +137,36 @@ def _chessboard_corners(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray,
         return None
     places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), [0], indexing="xy"), axis=-1).reshape(-1, 3)
     return board.square_mm * places, pixels.reshape(-1, 2)
+
+
+def circle_places(board: Board) -> NDArray[np.float64]:
+    """(N, 3) centers of a board's circles in mm, row by row; rows of an asymmetric grid are half a step apart."""
+    row, column = np.divmod(np.arange(board.columns * board.rows), board.columns)
+    across = 2 * column + row % 2 if board.kind == "asymmetric_circles" else column
+    return board.square_mm * np.stack([across, row, np.zeros(len(row))], axis=1)
+
+
+def _circle_centers(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray, NDArray] | None:
+    grid = cv2.CALIB_CB_ASYMMETRIC_GRID if board.kind == "asymmetric_circles" else cv2.CALIB_CB_SYMMETRIC_GRID
+    words = cv2.SimpleBlobDetector.Params()
+    words.minArea, words.maxArea = 20.0, gray.size / 20  # OpenCV's own limit of 5000 px is too small for large pictures
+    blobs = cv2.SimpleBlobDetector.create(words)
+    for picture in (gray, 255 - gray):  # dark dots on a bright board, or bright ones on a dark board
+        for flags in (grid, grid | cv2.CALIB_CB_CLUSTERING):
+            whole, pixels = cv2.findCirclesGrid(picture, (board.columns, board.rows), flags=flags, blobDetector=blobs)
+            if whole:
+                return circle_places(board), pixels.reshape(-1, 2)
+    return None
+
+
+def _circles_picture(board: Board, side: int) -> NDArray[np.uint8]:
+    at = np.rint(circle_places(board)[:, :2] / board.square_mm * side).astype(int)
+    width, height = at.max(axis=0) + 2 * side
+    picture = np.full((height, width), 255, np.uint8)
+    radius = round(side * (0.35 if board.kind == "circles" else 0.45))
+    for x, y in at + side:
+        cv2.circle(picture, (int(x), int(y)), radius, 0, cv2.FILLED, cv2.LINE_AA)
+    return picture
 
 
 def _with_resolution(png: bytes, pixels_per_meter: int) -> bytes:

@@ -4,8 +4,9 @@ The lens is OpenCV's fisheye: Kannala and Brandt, IEEE TPAMI 28:1335, 2006.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,11 +18,14 @@ from ursnav_torch.calibration.board import Board, Corners, find_corners
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.errors import InputError
 
+Lens = Callable[..., Camera]
+
 MIN_IMAGES = 4
 _REJECTED_BY_MEDIAN = 3.0  # a picture whose residual exceeds the median so many times is left out
 _LARGEST_FOCAL_ERROR = 0.02  # with all boards parallel, distance and focal length cannot be told apart
-_START_FOV_DEG = (80.0, 120.0, 160.0, 200.0)
-_USUAL_K = np.array([0.2, 0.1, 0.05, 0.02])  # a weak prior, in pixels of residual, tames the lens beyond all corners
+_START_FOV_DEG = (60.0, 80.0, 120.0, 160.0, 200.0)
+# A weak prior, in pixels of residual, tames the lens beyond all corners.
+_USUAL_K = {"equidistant": np.array([0.2, 0.1, 0.05, 0.02]), "plumb_bob": np.array([1.0, 1.0, 1.0, 0.1])}
 _DARK = 16  # gray value that no lit part of the picture stays below in all pictures; or a quarter of the median
 
 
@@ -48,23 +52,27 @@ class Calibration:
     seen_deg: float
 
 
-def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board) -> Calibration:
-    """Calibrate the fisheye lens that took the pictures.
+def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board, model: str = "equidistant") -> Calibration:
+    """Calibrate the lens that took the pictures.
 
     Args:
         images: name to picture (H, W) or (H, W, 3), all of one size, of the board held at different angles and places.
         board: the board, with the sizes measured on the print.
+        model: ``equidistant`` (fisheye), or ``plumb_bob`` (a pinhole with radial distortion, for narrow lenses).
 
     Raises:
-        InputError: no pictures, different sizes, too few show the board, or they do not determine a lens.
+        InputError: another model, no pictures, different sizes, too few show the board, they do not determine a lens.
     """
+    if model not in LENSES:
+        raise InputError(f"Unknown lens model {model!r}; known are {', '.join(LENSES)}.")
     height, width = _one_size(images)
+    make = partial(LENSES[model], width=width, height=height)
     found = {name: find_corners(image, board) for name, image in images.items()}
-    left_out = {name: "shows too little of the board" for name, corners in found.items() if corners is None}
+    left_out = {name: _why_not(images[name], board) for name, corners in found.items() if corners is None}
     used = {name: corners for name, corners in found.items() if corners is not None}
     while True:
         _enough(used, left_out, board)
-        camera, residuals = _solve(used, width, height)
+        camera, residuals = _solve(used, make, model)
         rms = {name: float(np.sqrt(np.mean(np.sum(r**2, axis=1)))) for name, r in zip(used, residuals, strict=True)}
         worst = max(rms, key=rms.__getitem__)
         if rms[worst] <= max(_REJECTED_BY_MEDIAN * float(np.median(list(rms.values()))), 0.3):
@@ -76,6 +84,13 @@ def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board) -> C
     seen_deg = math.degrees(float(np.arccos(np.clip(rays[:, 2], -1, 1)).max()))
     camera = replace(camera, fov_deg=_round_picture_fov(list(images.values()), camera))
     return Calibration(camera, float(np.sqrt(np.mean(np.sum(every**2, axis=1)))), rms, left_out, used, every, seen_deg)
+
+
+def _why_not(image: NDArray[np.uint8], board: Board) -> str:
+    """Why a picture shows no board; only markers tell a mirrored one."""
+    if board.kind == "charuco" and find_corners(np.ascontiguousarray(image[:, ::-1]), board) is not None:
+        return "shows the board mirrored: switch mirroring off in the camera or grabber, or flip the pictures"
+    return "shows too little of the board"
 
 
 def _one_size(images: Mapping[str, NDArray[np.uint8]]) -> tuple[int, int]:
@@ -104,21 +119,19 @@ def _enough(used: Mapping[str, Corners], left_out: Mapping[str, str], board: Boa
     )
 
 
-def _solve(used: Mapping[str, Corners], width: int, height: int) -> tuple[Camera, list[NDArray[np.float64]]]:
+def _solve(used: Mapping[str, Corners], make: Lens, model: str) -> tuple[Camera, list[NDArray[np.float64]]]:
     """The lens that fits best, and found minus predicted pixels (N, 2) of each picture.
 
     Least squares over the lens and every board's pose, robust against single wrong corners. OpenCV's own solver
     starts from homographies of undistorted pixels and gives up on boards near the rim of a 160 degree lens.
     """
-    start = min(
-        (_start(used, width, height, fov) for fov in _START_FOV_DEG), key=lambda x: _cost(x, used, width, height)
-    )
+    start = min((_start(used, make, fov) for fov in _START_FOV_DEG), key=lambda x: _cost(x, used, make))
     fit = least_squares(
-        lambda x: np.concatenate([_residuals(x, used, width, height).ravel(), x[4:8] / _USUAL_K]),
+        lambda x: np.concatenate([_residuals(x, used, make).ravel(), x[4:8] / _USUAL_K[model]]),
         start, loss="soft_l1", x_scale="jac", method="trf", max_nfev=100,
     )  # fmt: skip
     spread = np.linalg.pinv(fit.jac.T @ fit.jac, rcond=1e-14)[0, 0] ** 0.5
-    residuals = _residuals(fit.x, used, width, height)
+    residuals = _residuals(fit.x, used, make)
     noise = float(np.sqrt(np.mean(residuals**2)))
     if not spread * noise < _LARGEST_FOCAL_ERROR * fit.x[0]:
         raise InputError(
@@ -127,30 +140,41 @@ def _solve(used: Mapping[str, Corners], width: int, height: int) -> tuple[Camera
             "picture with it in some."
         )
     ends = np.cumsum([len(corners.pixels) for corners in used.values()])[:-1]
-    return _lens(fit.x, width, height), np.split(residuals, ends)
+    return make(fit.x), np.split(residuals, ends)
 
 
-def _lens(x: NDArray[np.float64], width: int, height: int) -> Camera:
+def _fisheye(x: NDArray[np.float64], width: int, height: int) -> Camera:
     fx, fy, cx, cy, k1, k2, k3, k4 = (float(v) for v in x[:8])
     return Camera("equidistant", width, height, max(fx, 1.0), max(fy, 1.0), cx, cy, (k1, k2, k3, k4))
 
 
-def _residuals(x: NDArray[np.float64], used: Mapping[str, Corners], width: int, height: int) -> NDArray[np.float64]:
+def _plumb_bob(x: NDArray[np.float64], width: int, height: int) -> Camera:
+    fx, fy, cx, cy, k1, k2, k3, _ = (float(v) for v in x[:8])
+    k = (k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0)
+    return Camera("rational", width, height, max(fx, 1.0), max(fy, 1.0), cx, cy, k)
+
+
+#: The lens that the eight numbers fx, fy, cx, cy, k1..k4 make, by model.
+LENSES: dict[str, Lens] = {"equidistant": _fisheye, "plumb_bob": _plumb_bob}
+
+
+def _residuals(x: NDArray[np.float64], used: Mapping[str, Corners], make: Lens) -> NDArray[np.float64]:
     """(N, 2) found minus predicted pixels; ``x`` holds fx, fy, cx, cy, k1..k4, then each board's turn and place."""
     poses = x[8:].reshape(-1, 6)
     R = Rotation.from_rotvec(poses[:, :3]).as_matrix()
     points = [corners.board_mm @ R[i].T + poses[i, 3:] for i, corners in enumerate(used.values())]
-    predicted, _ = _lens(x, width, height).project(np.concatenate(points))
+    predicted, _ = make(x).project(np.concatenate(points))
     return np.concatenate([corners.pixels for corners in used.values()]) - predicted
 
 
-def _cost(x: NDArray[np.float64], used: Mapping[str, Corners], width: int, height: int) -> float:
-    return float(np.median(np.abs(_residuals(x, used, width, height))))
+def _cost(x: NDArray[np.float64], used: Mapping[str, Corners], make: Lens) -> float:
+    return float(np.median(np.abs(_residuals(x, used, make))))
 
 
-def _start(used: Mapping[str, Corners], width: int, height: int, fov_deg: float) -> NDArray[np.float64]:
+def _start(used: Mapping[str, Corners], make: Lens, fov_deg: float) -> NDArray[np.float64]:
     """An ideal lens of this field of view and the boards' poses that it implies."""
-    camera = equidistant_camera(fov_deg, width, height)
+    size = make(np.array([1.0, 1, 0, 0, 0, 0, 0, 0]))
+    camera = equidistant_camera(fov_deg, size.width, size.height)
     poses = [_board_pose(corners, camera) for corners in used.values()]
     return np.concatenate([[camera.fx, camera.fy, camera.cx, camera.cy, 0, 0, 0, 0], *poses])
 

@@ -62,7 +62,12 @@ def read_scan(
     if not hasattr(os, "fork"):  # Windows
         return read_scan_here(path, series, largest_voxels, header)
     with tempfile.TemporaryDirectory(prefix="ursnav_scan_") as folder:
-        request = {"path": str(path.absolute()), "series": series, "largest_voxels": largest_voxels, "folder": folder}
+        request: dict[str, Any] = {
+            "path": str(path.absolute()),
+            "series": series,
+            "largest_voxels": largest_voxels,
+            "folder": folder,
+        }
         request["header"] = dataclasses.asdict(header or ScanHeader())
         status = _ask(request | {"seconds": READ_S + _size(path) // 1_000_000})
         answer = Path(folder) / "answer.json"
