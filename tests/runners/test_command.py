@@ -52,7 +52,11 @@ def test_help_begins_with_name_and_examples_and_ends_with_settings(runner: str, 
     text = help_text(Path(config_dir()) / f"{runner}.yaml")
     assert code == 0 and out == text + "\n"
     name, examples, *_, more = text.split("\n\n")
-    assert name.startswith(f"NAME\n  ursnav {runner} - ") and examples.startswith(f"EXAMPLES\n  ursnav {runner}")
+    assert (
+        name.startswith(f"NAME\n  ursnav {runner} - ")
+        and examples.startswith("EXAMPLES\n  ursnav ")
+        and f"\n  ursnav {runner} " in examples + " "
+    )
     assert "SETTINGS" in text and "--cfg job" in more and "hydra" not in text
 
 
