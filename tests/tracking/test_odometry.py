@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.kinematics import Segment
+from ursnav_torch.scaling import scaled
 from ursnav_torch.tracking.odometry import Odometry, OdometryReading, OdometrySettings, PlayBank
 
 SEGMENT = Segment()
@@ -57,6 +58,11 @@ def test_a_camera_that_is_rolled_against_the_cables_is_found_out():
         odometry.learn(np.eye(4), turned, 0.1, 0.01, 0.1)
         before = bend
     assert odometry._roll() == pytest.approx(roll, abs=0.2)
+
+
+def test_plays_may_come_as_lists_and_are_lengths_of_anatomy():
+    settings = scaled(OdometrySettings(insertion_plays_mm=[0, 1]), 1.8)  # type: ignore[arg-type]
+    assert settings.insertion_plays_mm == (0.0, 1.8) and settings.bend_plays_deg == OdometrySettings().bend_plays_deg
 
 
 def test_settings_that_make_no_sense_are_refused():

@@ -55,6 +55,8 @@ class OdometrySettings:
     length_mm: float = 20.0
 
     def __post_init__(self) -> None:
+        for name in ("insertion_plays_mm", "bend_plays_deg"):  # lists, where a configuration gives them
+            object.__setattr__(self, name, tuple(float(width) for width in getattr(self, name)))
         if min(self.insertion_mm_s, self.bend_deg_s, self.memory_s, self.length_mm) <= 0:
             raise InputError(f"Odometry needs standard deviations, times and a length above 0, got {self}.")
         if min(*self.insertion_plays_mm, *self.bend_plays_deg) < 0:
