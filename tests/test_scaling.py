@@ -9,6 +9,7 @@ from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.exploration.coverage import CoverageSettings
 from ursnav_torch.exploration.route import ScopeLimits
 from ursnav_torch.scaling import LENGTH_ENDINGS, scaled
+from ursnav_torch.tracking.odometry import OdometrySettings
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.vid import PlanSettings
 
@@ -30,7 +31,16 @@ def test_every_length_and_no_other_number_follows_the_scale(settings: Any) -> No
     before, after = numbers(settings), numbers(scaled(settings, 2.0))
     assert any(name.endswith(LENGTH_ENDINGS) for name in before)
     for name, value in before.items():
-        assert after[name] == (2.0 * value if name.endswith(LENGTH_ENDINGS) else value), name
+        expected = value
+        if name.endswith(LENGTH_ENDINGS):
+            expected = tuple(2.0 * v for v in value) if isinstance(value, tuple) else 2.0 * value
+        assert after[name] == expected, name
+
+
+def test_several_lengths_from_a_file_are_a_list() -> None:
+    """`track` reads its settings from YAML, where a tuple is a list: that ended in a TypeError."""
+    track = TrackSettings(odometry=OdometrySettings(insertion_plays_mm=[0.0, 1.0]))  # type: ignore[arg-type]
+    assert scaled(track, 2.0).odometry.insertion_plays_mm == (0.0, 2.0)
 
 
 def test_settings_only() -> None:

@@ -86,7 +86,7 @@ class Confidence:
         """
         learned = (calibration or {}).get("confidence")
         if isinstance(learned, Mapping):
-            if settings is not None and learned.get("settings", settings) != settings:
+            if settings is not None and learned.get("settings") != settings:
                 return cls(())
             return cls(tuple(float(w) for w in learned["refined" if refined else "nearest"]))
         return cls((0.0, 0.0, 0.0, 1.0, 0.0, 0.0) + (0.0,) * (REFINED_NUMBERS if refined else 0))
