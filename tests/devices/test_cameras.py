@@ -62,7 +62,7 @@ def test_a_video_comes_frame_by_frame(tmp_path):
 
 def test_pictures_that_do_not_suit_the_calibration_are_refused(folder):
     lens = folder / "lens.json"
-    lens.write_text('{"model":"pinhole","width":99,"height":12,"fx":9,"fy":9,"cx":49,"cy":5.5}')
+    lens.write_text('{"model":"pinhole","width":99,"height":12,"fx":60,"fy":60,"cx":49,"cy":5.5}')
     with FolderCamera(folder, fps=0, calibration=lens) as camera, pytest.raises(InputError, match="16x12 pixels"):
         camera.read()
     assert camera.lens.width == 99
