@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.shared.kidneys import STYLES, Still, data_folder, stills, vid_of
+from benchmarks.shared.kidneys import STYLES, Still, data_folder, kidneys_with, stills, vid_of
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import auroc, calibration_error, wilson
 from ursnav_torch.errors import FeatureError, MissingExtraError, UrsnavError
@@ -149,7 +149,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def measure(report: Report, folder: Path, work: Path, rivals: bool) -> None:
     """Every method on every kidney's pictures."""
-    names = sorted(p.parent.name for p in folder.glob("*/lumen.stl"))
+    names = kidneys_with(folder, *STYLES)
     vids = {k: vid_of(folder, k, work) for k in names}
     pictures = {s: [still for k in names for still in stills(folder, k, s)] for s in STYLES}
     for name, method in parts_left_out().items():

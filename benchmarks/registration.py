@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from benchmarks.shared.em import OFFSET_MM, Drive, drive_through, readings, rms, simulated_matches
-from benchmarks.shared.kidneys import data_folder
+from benchmarks.shared.kidneys import STYLES, data_folder, kidneys_with
 from benchmarks.shared.results import Report, overrides
 from ursnav_torch.em_log import read_em_samples
 from ursnav_torch.errors import InputError, RegistrationError
@@ -51,8 +51,8 @@ def main(arguments: list[str]) -> None:
     except InputError as error:
         report.skip("real kidneys", str(error))
     else:
-        for lumen in sorted(folder.glob("*/lumen.stl")):
-            _real(report, lumen.parent, settings["cuts"])
+        for name in kidneys_with(folder, *STYLES):
+            _real(report, folder / name, settings["cuts"])
     for seed in range(settings["phantoms"]):
         _phantom(report, seed)
     _verdicts(report, settings["matches"])

@@ -54,6 +54,15 @@ def data_folder(given: str) -> Path:
     return folder
 
 
+def kidneys_with(folder: Path, *styles: str) -> list[str]:
+    """Names of the kidneys that have pictures of all these styles; other anatomy may lie beside them."""
+    return sorted(
+        p.parent.name
+        for p in folder.glob("*/lumen.stl")
+        if all((p.parent / style / "truth.csv").is_file() for style in styles)
+    )
+
+
 def stills(folder: Path, kidney: str, style: str) -> list[Still]:
     """All pictures of one style of one kidney."""
     path = folder / kidney / style / "truth.csv"

@@ -138,10 +138,12 @@ def with_bodies(
         rings = 1 - faults.instrument_rings * (np.sin(2 * np.pi * along[hit] / 0.35) > 0)
         distance[hit], kind[hit], normals[hit], wetness[hit] = t[hit], INSTRUMENT, normal[hit], 1.0
         color[hit] = rings[:, None] * np.array(faults.instrument_bgr, np.float32)
-    points = surface.rays * distance[:, None]
+    points: Floats = surface.rays * distance[:, None]
     lit = _lit(points, light_camera_mm, stones, faults, T_kidney_camera)
     R, t0 = T_kidney_camera[:3, :3].astype(np.float32), T_kidney_camera[:3, 3].astype(np.float32)
-    solid = replace(surface, distance_mm=distance, normals=normals, points_kidney=points @ R.T + t0)
+    solid = replace(
+        surface, distance_mm=distance, normals=normals, points_kidney=np.asarray(points @ R.T + t0, np.float32)
+    )
     return Seen(solid, PaintedWall(color, normals, wetness), kind, lit)
 
 
@@ -195,17 +197,18 @@ def _stone_skin(
 ) -> tuple[Floats, Floats]:
     """Normals (N, 3), camera frame, and colors (N, 3) of a stone at points (N, 3), camera frame."""
     local = points - center
-    normal = (local @ A.T) @ A
+    normal: Floats = (local @ A.T) @ A
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     size = float(stone.radii_mm.min())
     anchored = local @ T_kidney_camera[:3, :3].T.astype(np.float32)
     if stone.bumps > 0:
         _, slope = noise_and_slope(anchored, 0.5 * size, stone.seed)
         slope = slope @ T_kidney_camera[:3, :3].astype(np.float32)
-        normal = normal - np.float32(stone.bumps) * (slope - np.einsum("ij,ij->i", slope, normal)[:, None] * normal)
+        slope -= np.einsum("ij,ij->i", slope, normal)[:, None] * normal
+        normal = np.asarray(normal - np.float32(stone.bumps) * slope, np.float32)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     patches = np.exp(0.25 * np.clip(solid_noise(anchored, 0.8 * size, stone.seed + 1), -2, 2))
-    return normal, patches[:, None] * np.array(stone.bgr, np.float32)
+    return normal, np.asarray(patches[:, None] * np.array(stone.bgr, np.float32), np.float32)
 
 
 def _lit(points: Floats, light: Floats, stones: Sequence[Stone], faults: BodyFaults, T_kidney_camera: Array) -> Floats:

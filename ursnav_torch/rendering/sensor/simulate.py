@@ -91,9 +91,9 @@ def simulate_labeled(
     picture = np.zeros((mask.size, 3), np.float32)
     picture[surface.pixels] = shade(seen.surface, seen.wall, faults.light, led, seen.lit)
     picture = picture.reshape(*mask.shape, 3)
-    kind = np.zeros(mask.size, np.uint8)
-    kind[surface.pixels] = seen.kind
-    kind = kind.reshape(mask.shape)
+    flat = np.zeros(mask.size, np.uint8)
+    flat[surface.pixels] = seen.kind
+    kind = flat.reshape(mask.shape)
     covered = occlude(picture, mask, camera, faults.occluders, rng)
     kind[(np.abs(covered - picture).max(2) > _COVERED) & (kind == WALL)] = CLUTTER
     covered = through_lens(covered, mask, camera, faults.optics, rng)
