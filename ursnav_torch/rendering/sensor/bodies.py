@@ -138,7 +138,7 @@ def with_bodies(
         rings = 1 - faults.instrument_rings * (np.sin(2 * np.pi * along[hit] / 0.35) > 0)
         distance[hit], kind[hit], normals[hit], wetness[hit] = t[hit], INSTRUMENT, normal[hit], 1.0
         color[hit] = rings[:, None] * np.array(faults.instrument_bgr, np.float32)
-    points: Floats = surface.rays * distance[:, None]
+    points = np.asarray(surface.rays * distance[:, None], np.float32)
     lit = _lit(points, light_camera_mm, stones, faults, T_kidney_camera)
     R, t0 = T_kidney_camera[:3, :3].astype(np.float32), T_kidney_camera[:3, 3].astype(np.float32)
     solid = replace(
@@ -197,7 +197,7 @@ def _stone_skin(
 ) -> tuple[Floats, Floats]:
     """Normals (N, 3), camera frame, and colors (N, 3) of a stone at points (N, 3), camera frame."""
     local = points - center
-    normal: Floats = (local @ A.T) @ A
+    normal = np.asarray((local @ A.T) @ A, np.float32)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     size = float(stone.radii_mm.min())
     anchored = local @ T_kidney_camera[:3, :3].T.astype(np.float32)
