@@ -6,6 +6,7 @@ import trimesh
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, write_calyces
+from ursnav_torch.kidney.checks import check_lumen
 from ursnav_torch.kidney.mesh import enlargement, read_mesh
 
 
@@ -119,3 +120,20 @@ def test_points_in_another_frame_are_refused(files: Path, phantom: Kidney, tmp_p
     write_calyces(tmp_path / "c.csv", phantom.scaled(3.0).calyces)
     with pytest.raises(InputError, match=r"A at \[.*\] lies .* mm outside the lumen of lumen.stl"):
         load_mesh_kidney(files / "lumen.stl", tmp_path / "c.csv")
+
+
+@pytest.mark.parametrize("corner", [162, 4_294_967_295, 65_402])
+def test_triangles_that_name_corners_which_are_not_there_are_refused(tmp_path: Path, corner: int) -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    body = "element face 1\nproperty list uchar uint vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+    (tmp_path / "a.ply").write_text(f"{head}{body}3 0 1 {corner}\n")
+    with pytest.raises(InputError, match=r"names corner|cannot be read as PLY|holds no triangles"):
+        read_mesh(tmp_path / "a.ply")
+
+
+def test_given_damaged_meshes_end_in_sentences(cases: Path) -> None:
+    for path in sorted((cases / "fuzz").glob("mesh_*")):
+        try:
+            check_lumen(read_mesh(path), path.name, 1.0)
+        except InputError:
+            continue

@@ -38,10 +38,10 @@ def check_lumen(
     Raises:
         InputError: no faces; not in mm; open; several pieces; a volume that no lumen has.
     """
-    if len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
-        raise InputError(f"{name} has no usable triangles; export the lumen as a triangle mesh (STL, PLY, OBJ or GLB).")
+    _check_usable(mesh, name)
     _check_size(mesh, name, scale, unit_advice or _SCALE_ADVICE)
     mesh = _welded(mesh)
+    _check_usable(mesh, name)
     mesh = _one_piece(mesh, name)
     _check_closed(mesh, name)
     if mesh.volume < 0:
@@ -84,6 +84,11 @@ def _check_size(mesh: trimesh.Trimesh, name: str, scale: float, advice: Mapping[
     raise InputError(
         f"{found} at scale {scale:g}. Export the lumen in mm, or set kidney.scale to what brings it to anatomy."
     )
+
+
+def _check_usable(mesh: trimesh.Trimesh, name: str) -> None:
+    if len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
+        raise InputError(f"{name} has no usable triangles; export the lumen as a triangle mesh (STL, PLY, OBJ or GLB).")
 
 
 def _welded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

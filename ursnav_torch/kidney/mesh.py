@@ -4,6 +4,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
@@ -85,7 +86,15 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
         raise
     except Exception as error:  # the readers raise whatever a damaged file makes them stumble over
         raise InputError(f"{path} cannot be read as {path.suffix[1:].upper()}: {error}. Export it again.") from error
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1:] != (3,) or (len(faces) and faces.shape[1] != 3):
+        raise InputError(f"{path} holds no triangles with corners in space; export the lumen as a triangle mesh.")
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        wrong = int(faces.max() if faces.max() >= len(vertices) else faces.min())
+        raise InputError(
+            f"{path} is damaged: a triangle names corner {wrong}, and the file has {len(vertices)}. Export it again."
+        )
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _load(path: Path) -> trimesh.Trimesh:
