@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from benchmarks.shared.flights import CHOOSING, population
 from benchmarks.shared.results import Report, overrides
 from ursnav_torch.errors import InputError
-from ursnav_torch.tracking.own_kidney import Evidence
+from ursnav_torch.tracking.own_kidney import KidneyEvidence
 from ursnav_torch.tracking.place_test import PlaceTest
 from ursnav_torch.tracking.settings import PlaceSettings
 
@@ -92,7 +92,7 @@ def _log_loss(settings: PlaceSettings, sequences: list[Sequence]) -> float:
                 continue
             if stepped > RIGHT_MM:
                 test.reset()
-            test.add(test.llr(Evidence(*evidence.tolist())), float(seconds))
+            test.add(test.llr(KidneyEvidence(*evidence.tolist())), float(seconds))
             if off < RIGHT_MM or off > WRONG_MM:
                 total -= float(np.log(test.right if off < RIGHT_MM else 1 - test.right))
                 count += 1

@@ -16,11 +16,8 @@ MOST_LINES, MOST_PARAMETERS, MOST_FILES = 40, 6, 16
 WORTH_SHARING = 4
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
-#: Names that mean one thing in one room and another in another; each entry says what is to become of it.
-SHARED_NAMES = {
-    "Light": "alignment's light prior and rendering's lamp: alignment is being rewritten",
-    "Evidence": "localization's and tracking's: both are being rewritten",
-}
+#: Names that mean one thing in one room and another in another; each entry would say what is to become of it.
+SHARED_NAMES: dict[str, str] = {}
 #: Functions that may have more parameters, and why a settings object would not help.
 MANY_PARAMETERS = {
     "GrblRobot.__init__": "each is one line of the robot's YAML",
@@ -46,7 +43,6 @@ MANY_PARAMETERS = {
 #: Folders that may hold more files, and why.
 LARGE_FOLDERS = {
     "ursnav_torch": "the runners and the ground floor, by design",
-    "ursnav_torch/segmentation": "being rewritten; its readers are to become a folder",
 }
 #: Longer functions, and why they are not cut.
 LONG = {

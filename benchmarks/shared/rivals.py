@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.matching.opencv import contour, pair_distance
+from ursnav_torch.matching.methods.opencv import contour, pair_distance
 
 Floats = NDArray[np.float64]
 Rival = Callable[[Floats, Sequence[Floats]], Floats]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ursnav_torch.alignment.light import AT_CAMERA, Light
+from ursnav_torch.alignment.light import AT_CAMERA, LampState
 
 
 def test_a_light_is_learned_from_well_aligned_pictures_alone() -> None:
-    light, true = Light(), AT_CAMERA + 0.5
+    light, true = LampState(), AT_CAMERA + 0.5
     for bent in range(20):
         light.learn(AT_CAMERA + bent, 0.55)
     assert light.value is None and not light.known
@@ -17,7 +17,7 @@ def test_a_light_is_learned_from_well_aligned_pictures_alone() -> None:
 
 
 def test_a_known_light_is_looked_for_again_now_and_then_but_never_where_little_is_seen() -> None:
-    light = Light()
+    light = LampState()
     for _ in range(5):
         light.learn(AT_CAMERA, 0.8)
     for _ in range(50):

@@ -6,7 +6,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Matcher, Matching, pack
-from ursnav_torch.matching.hungarian import assignment_bound
+from ursnav_torch.matching.methods.hungarian import assignment_bound
 
 VIEWS = pack([blob(seed, 20 + seed % 3 * 10) for seed in range(30)])
 QUERY = torch.from_numpy(blob(3, 30, phase=0.05)).float()

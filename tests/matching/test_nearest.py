@@ -3,7 +3,7 @@ import torch
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Nearest
-from ursnav_torch.matching.nearest import trimmed_mean
+from ursnav_torch.matching.methods.nearest import trimmed_mean
 
 COST = torch.rand(7, 3, 5, generator=torch.Generator().manual_seed(0))
 MASK = torch.tensor([[1, 1, 1, 1, 1], [1, 1, 0, 0, 0], [1, 1, 1, 1, 0]]).bool()

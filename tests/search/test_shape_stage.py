@@ -9,7 +9,7 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.features import EdgePoints, Features
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.matching import Hungarian, Matching, Nearest, PairCost, ShapeContext, Sinkhorn
-from ursnav_torch.matching.methods import Method
+from ursnav_torch.matching.methods.base import Method
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.search.settings import default_matching
 from ursnav_torch.search.shape import ShapeStage, turn_edges

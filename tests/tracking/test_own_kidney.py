@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
+from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.settings import OwnKidneySettings
 
-GOOD, BAD = Evidence(0.8, 0.3, 1.5), Evidence(0.4, -0.1, 1.2)
+GOOD, BAD = KidneyEvidence(0.8, 0.3, 1.5), KidneyEvidence(0.4, -0.1, 1.2)
 
 
-def after(evidence: Evidence, pictures: int, seconds: float = 0.1) -> OwnKidneyTest:
+def after(evidence: KidneyEvidence, pictures: int, seconds: float = 0.1) -> OwnKidneyTest:
     test = OwnKidneyTest(OwnKidneySettings())
     for _ in range(pictures):
         test.add(evidence, seconds)
@@ -48,18 +48,18 @@ def test_the_sum_is_believed_from_2_5_given_up_at_minus_5_and_stays_between_minu
 
 def test_a_picture_counts_by_its_weighted_evidence_within_limits() -> None:
     s = OwnKidneySettings(weights=(-4.0, 10.0, 5.0, -2.0))
-    assert Evidence(0.5, 0.1, 0.8).log_odds(s) == pytest.approx(-4.0 + 5.0 + 0.5 - 1.6)
-    assert Evidence(0.5, 0.1, 0.8, off=2.5).log_odds(s) == pytest.approx(-0.1 + 0.1)
-    assert Evidence(0.5, 0.1, 0.8, off=50.0).log_odds(s) == pytest.approx(-0.1)  # a sensor that is wrong: -0.2, cut
+    assert KidneyEvidence(0.5, 0.1, 0.8).log_odds(s) == pytest.approx(-4.0 + 5.0 + 0.5 - 1.6)
+    assert KidneyEvidence(0.5, 0.1, 0.8, off=2.5).log_odds(s) == pytest.approx(-0.1 + 0.1)
+    assert KidneyEvidence(0.5, 0.1, 0.8, off=50.0).log_odds(s) == pytest.approx(-0.1)  # a wrong sensor: -0.2, cut
     assert (
-        Evidence(1.0, 1.0, 0.0).log_odds(s) == s.max_llr_for
-        and Evidence(0.0, 0.0, 2.0).log_odds(s) == -s.max_llr_against
+        KidneyEvidence(1.0, 1.0, 0.0).log_odds(s) == s.max_llr_for
+        and KidneyEvidence(0.0, 0.0, 2.0).log_odds(s) == -s.max_llr_against
     )
 
 
 def test_every_kind_of_evidence_counts_its_way() -> None:
     def odds(score: float = 0.5, lead: float = 0.0, fit: float = 1.2, off: float | None = None) -> float:
-        return Evidence(score, lead, fit, off).log_odds(OwnKidneySettings())
+        return KidneyEvidence(score, lead, fit, off).log_odds(OwnKidneySettings())
 
     assert odds(score=0.52) > odds() > odds(score=0.48)
     assert odds(lead=0.1) > odds() > odds(lead=-0.05)

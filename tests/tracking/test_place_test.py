@@ -5,11 +5,11 @@ import pytest
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.tracking.belief import REGION_90
-from ursnav_torch.tracking.own_kidney import Evidence
+from ursnav_torch.tracking.own_kidney import KidneyEvidence
 from ursnav_torch.tracking.place_test import PlaceTest, calyx_set, region_sd_mm
 from ursnav_torch.tracking.settings import PlaceSettings
 
-GOOD, BAD = Evidence(0.9, 0.2, 1.3), Evidence(0.3, -0.3, 1.0)
+GOOD, BAD = KidneyEvidence(0.9, 0.2, 1.3), KidneyEvidence(0.3, -0.3, 1.0)
 NOBODY = np.zeros(0)
 
 

@@ -29,7 +29,7 @@ _ENOUGH, _KEPT = 5, 15  # so many make it known, and so many of the last are kep
 _AGAIN = 4  # after so many more it is looked for again
 
 
-class Light:
+class LampState:
     """The light of one scope, learned from pictures that are aligned well, and then held.
 
     It must not be learned from pictures that show little: there it bends until a wrong pose fits as well as the true

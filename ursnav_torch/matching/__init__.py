@@ -5,16 +5,16 @@ from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe, fix_scale, mean_distances
 from ursnav_torch.matching.directions import estimate_directions
 from ursnav_torch.matching.distances import shape_distances
-from ursnav_torch.matching.hungarian import Hungarian
 from ursnav_torch.matching.matcher import Matcher, Matching
-from ursnav_torch.matching.methods import Assignment, Correspondences
-from ursnav_torch.matching.nearest import Nearest
+from ursnav_torch.matching.methods.base import Assignment, Correspondences
+from ursnav_torch.matching.methods.hungarian import Hungarian
+from ursnav_torch.matching.methods.nearest import Nearest
+from ursnav_torch.matching.methods.opencv import OpenCV
+from ursnav_torch.matching.methods.sinkhorn import ConvergenceWarning, Sinkhorn
 from ursnav_torch.matching.occupancy import Occupancy
-from ursnav_torch.matching.opencv import OpenCV
 from ursnav_torch.matching.ordered import Ordered, align_outlines
 from ursnav_torch.matching.point_sets import PointSets, pack
 from ursnav_torch.matching.screening import Screen, build_screen
-from ursnav_torch.matching.sinkhorn import ConvergenceWarning, Sinkhorn
 from ursnav_torch.threads import one_thread_an_operation
 
 __all__ = [

@@ -11,12 +11,12 @@ from torch import Tensor
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext
-from ursnav_torch.matching.hungarian import Hungarian
 from ursnav_torch.matching.matcher import Matcher, Matching
-from ursnav_torch.matching.nearest import Nearest
-from ursnav_torch.matching.opencv import OpenCV
+from ursnav_torch.matching.methods.hungarian import Hungarian
+from ursnav_torch.matching.methods.nearest import Nearest
+from ursnav_torch.matching.methods.opencv import OpenCV
+from ursnav_torch.matching.methods.sinkhorn import Sinkhorn
 from ursnav_torch.matching.point_sets import pack, pack_rows
-from ursnav_torch.matching.sinkhorn import Sinkhorn
 
 METHODS: dict[str, type] = {"nearest": Nearest, "sinkhorn": Sinkhorn, "hungarian": Hungarian, "opencv": OpenCV}
 

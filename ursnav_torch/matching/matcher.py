@@ -11,9 +11,9 @@ from torch import Tensor
 from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, fix_scale
-from ursnav_torch.matching.methods import Assignment, Correspondences, Method
-from ursnav_torch.matching.nearest import Nearest
-from ursnav_torch.matching.opencv import OpenCV
+from ursnav_torch.matching.methods.base import Assignment, Correspondences, Method
+from ursnav_torch.matching.methods.nearest import Nearest
+from ursnav_torch.matching.methods.opencv import OpenCV
 from ursnav_torch.matching.paired import PairedViews
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
 from ursnav_torch.threads import map_chunks, one_thread_an_operation

@@ -8,7 +8,7 @@ from ursnav_torch.tracking.settings import OwnKidneySettings
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class KidneyEvidence:
     """What one picture says.
 
     Attributes:
@@ -45,7 +45,7 @@ class OwnKidneyTest:
         self._settings = settings
         self.trust = 0.0
 
-    def add(self, evidence: Evidence, seconds: float) -> None:
+    def add(self, evidence: KidneyEvidence, seconds: float) -> None:
         """Weigh one picture, taken some seconds after the one before."""
         s = self._settings
         gain = evidence.log_odds(s) * min(seconds, 4 * s.frame_s) / s.frame_s

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.tracking.belief import REGION_90
-from ursnav_torch.tracking.own_kidney import Evidence
+from ursnav_torch.tracking.own_kidney import KidneyEvidence
 from ursnav_torch.tracking.settings import PlaceSettings
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class PlaceTest:
         after = right * (1 - slipped) + (1 - right) * found
         self.log_odds = float(np.log(after / (1 - after)))
 
-    def llr(self, evidence: Evidence) -> float:
+    def llr(self, evidence: KidneyEvidence) -> float:
         """Log-likelihood ratio of one picture: for the pose that it was aligned at being the right one."""
         constant, score, lead, fit = self._settings.weights
         llr = constant + score * evidence.score + lead * evidence.lead + fit * evidence.fit

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment import Refined, Refiner
-from ursnav_torch.alignment.light import Light
+from ursnav_torch.alignment.light import LampState
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import inverse, transform_from
@@ -76,7 +76,7 @@ class Pursuit:
 
     def reset(self) -> None:
         """Forget the track, and the scope's light."""
-        self._light = Light()
+        self._light = LampState()
         self._incumbent: _Lead | None = None
         self._challenger: _Lead | None = None
         self._good: Array | None = None  # last pose that was not badly aligned

@@ -27,7 +27,7 @@ from ursnav_torch.tracking.belief import REGION_90, PoseBelief
 from ursnav_torch.tracking.filter import ViewFilter
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.odometry import Odometry, OdometryReading
-from ursnav_torch.tracking.own_kidney import Evidence, OwnKidneyTest
+from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
 from ursnav_torch.tracking.place_test import PlaceTest, calyx_set, region_sd_mm
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed
@@ -72,7 +72,7 @@ class Tracked:
     score: float
     seconds: float
     T_aligned: Array | None = None
-    evidence: Evidence | None = None
+    evidence: KidneyEvidence | None = None
     position_sd_mm: float = np.nan
     direction_sd_deg: float = np.nan
     right: float = 0.0
@@ -256,7 +256,7 @@ class Tracker:
             self._belief = self._belief.measured_place(at, sensor.sigma_mm)
 
     def _answer(
-        self, T_aligned: Array | None, fit: float, score: float, evidence: Evidence | None, start: float
+        self, T_aligned: Array | None, fit: float, score: float, evidence: KidneyEvidence | None, start: float
     ) -> Tracked:
         """What is believed now, and whether that is a place."""
         belief, s = self._belief, self.settings
@@ -312,13 +312,13 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
         self._seen_s = 0.0 if self._at_s is None else self._at_s
 
-    def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> Evidence:
+    def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> KidneyEvidence:
         """Weigh a picture aligned at a pose (4, 4): is this the kidney, and the place? The score is as it was taken."""
         near = self._near(picture.found.T_kidney_camera, T)
         worst = float(picture.fits.min())  # what was not kept fits no better
         here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
         off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
-        evidence = Evidence(score, here - elsewhere, max(here, elsewhere), off)
+        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), off)
         self._test.add(evidence, seconds)
         return evidence
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.matching.methods import Assignment, Correspondences
+from ursnav_torch.matching.methods.base import Assignment, Correspondences
 
 
 @dataclass(frozen=True, slots=True)

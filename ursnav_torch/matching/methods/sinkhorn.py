@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching.cost import ABSENT
-from ursnav_torch.matching.methods import Assignment, Correspondences
+from ursnav_torch.matching.methods.base import Assignment, Correspondences
 
 _TINY = 1e-30
 

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.matching.methods import Assignment, Correspondences
+from ursnav_torch.matching.methods.base import Assignment, Correspondences
 
 #: Views whose costs are computed again at once while solving.
 _BATCH = 8
