@@ -52,5 +52,5 @@ class Segment:
         return self.cable_radius_mm * np.asarray(bend_rad, float)
 
     def bend_from_pulls(self, pulls_mm: ArrayLike) -> Array:
-        """The inverse of `pulls_mm`."""
+        """The bend (2,) about x and y, radians, at pulls (2,) in mm; the inverse of `pulls_mm`."""
         return np.asarray(pulls_mm, float) / self.cable_radius_mm

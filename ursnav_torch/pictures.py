@@ -26,6 +26,8 @@ _AS_SEEN = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
     """The picture in a file's bytes, turned as its EXIF orientation says, else as it is; None where there is none.
 
+    It is (H, W), or (H, W, 3) in OpenCV's order blue, green, red, of the file's own depth.
+
     Args:
         encoded: the file's bytes.
         where: names it in errors.

@@ -67,7 +67,7 @@ class Corners:
 
 
 def board_picture(board: Board, px_per_mm: float) -> NDArray[np.uint8]:
-    """The board to print, with a white margin of half a square around it."""
+    """The board to print (H, W), gray, with a white margin of half a square around it."""
     side = max(round(board.square_mm * px_per_mm), 8)
     if board.kind == "charuco":
         picture = _charuco(board).generateImage((board.columns * side, board.rows * side), marginSize=0)

@@ -20,7 +20,7 @@ def fitted_radial(radius: Callable[[Array], Array], focal_px: float, rim_px: flo
     """k1..k4 of the equidistant model through ``radius``, over the picture up to ``rim_px``; says the largest miss.
 
     Args:
-        radius: offsets in focal lengths at angles from the axis (radians).
+        radius: offsets (N,) in focal lengths at angles (N,) from the axis, radians.
         focal_px: the focal length.
         rim_px: distance of the farthest pixel from the center.
         where: the file, for people to read.

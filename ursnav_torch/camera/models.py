@@ -30,7 +30,10 @@ class LensModel:
 
 
 def radial(angle: Array, k: K) -> Array:
-    """Kannala and Brandt's radius at angles from the axis: IEEE TPAMI 28:1335, 2006, as OpenCV's fisheye has it."""
+    """Kannala and Brandt's radius (...) in focal lengths at angles (...) from the axis, radians.
+
+    IEEE TPAMI 28:1335, 2006, as OpenCV's fisheye has it.
+    """
     t2 = angle * angle
     k1, k2, k3, k4 = k
     return np.asarray(angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))))

@@ -54,7 +54,7 @@ class RosBridge(Output):
         self._joy: tuple[float, list[float], list[int]] = (-1e9, [], [])
 
     def publish_pose(self, T_kidney_camera: Array, t_wall_s: float) -> None:
-        """Publish the camera's pose as PoseStamped, meters."""
+        """Publish the camera's pose (4, 4), mm, as PoseStamped, which is in meters."""
         T = check_rigid(T_kidney_camera, "T_kidney_camera")
         x, y, z = (T[:3, 3] / 1000).tolist()
         qx, qy, qz, qw = quaternion_from_transform(T).tolist()

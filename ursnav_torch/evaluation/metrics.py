@@ -83,7 +83,10 @@ def frames_to_loss(errors: PoseErrors, lost_mm: float = LOST_MM) -> float:
 
 
 def jitter_mm(T_kidney_estimated: ArrayLike, T_kidney_true: ArrayLike) -> float:
-    """Mean change of the position's error from frame to frame, mm; a constant offset has none. nan without pairs."""
+    """Mean change of the position's error from frame to frame, mm; a constant offset has none. nan without pairs.
+
+    Estimated camera poses (N, 4, 4), nan where there is none, against true ones (N, 4, 4).
+    """
     estimated, true = _checked(T_kidney_estimated, T_kidney_true)
     step = np.linalg.norm(np.diff(estimated[:, :3, 3] - true[:, :3, 3], axis=0), axis=1)
     step = step[np.isfinite(step)]

@@ -99,7 +99,7 @@ def nearest_route(
 ) -> Route | None:
     """The shortest feasible way to one of some calyces, or the shortest of all where none is feasible.
 
-    None when there is nothing to go to.
+    It starts at a place (3,) in the lumen, kidney frame. None when there is nothing to go to.
     """
     ways = [route_to(kidney, position_mm, calyx, limits) for calyx in calyces]
     return min(ways, key=lambda way: (not way.feasible, way.length_mm), default=None)

@@ -37,7 +37,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def check_image(image: NDArray[np.uint8], camera: Camera) -> None:
-    """Refuse a picture that the lens cannot have taken, or that shows nothing at all.
+    """Refuse what is no picture of the lens: no uint8 array (H, W) or (H, W, 3), or of another size.
 
     Raises:
         InputError: wrong kind of array or wrong size.

@@ -105,14 +105,17 @@ def grayscale(image: NDArray[np.uint8]) -> Tensor:
 
 
 def remove_stripes(gray: Tensor, rows: int) -> Tensor:
-    """Zero the vertical frequencies from ``rows`` cycles on where the horizontal one is zero (thesis §3.5.1)."""
+    """Zero the vertical frequencies from ``rows`` cycles on where the horizontal one is zero (thesis §3.5.1).
+
+    ``gray`` is (H, W) in 0..1, and so is what is given back.
+    """
     spectrum = torch.fft.rfft2(gray)
     spectrum[rows : -rows + 1, 0] = 0
     return torch.fft.irfft2(spectrum, s=gray.shape).clamp(0, 1)
 
 
 def prune(skeleton: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
-    """A skeleton without branches up to ``length`` px: ends are worn off, then what is left grows back along it."""
+    """A skeleton (H, W) without branches up to ``length`` px: ends are worn off, then the rest grows back along it."""
     worn, ends = skeleton.copy(), []
     for _ in range(length):
         end = worn & (_neighbors(worn) <= 1)

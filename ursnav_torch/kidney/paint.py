@@ -35,7 +35,7 @@ def paint_surface(
 
 
 def write_lines(picture: Picture, lines: list[str], at: tuple[int, int] = (8, 20)) -> None:
-    """Write lines of text into a picture, in place; ``at`` (x, y) is where the first starts."""
+    """Write lines of text into a picture (H, W, 3), in place; ``at`` (x, y) is where the first starts."""
     for i, line in enumerate(lines):
         text = line.encode("ascii", "replace").decode()
         place = (at[0], at[1] + 20 * i)

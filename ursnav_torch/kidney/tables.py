@@ -17,7 +17,10 @@ _POINT = ("x_mm", "y_mm", "z_mm")
 
 
 def write_calyces(path: Path | str, calyces: Sequence[Calyx], pelvis_mm: Array | None = None) -> None:
-    """Write `calyx,x_mm,y_mm,z_mm,pole`, a row a calyx (kidney frame, tips), after a row `pelvis` if that is given."""
+    """Write `calyx,x_mm,y_mm,z_mm,pole`, a row a calyx (kidney frame, tips), after a row `pelvis` if that is given.
+
+    ``pelvis_mm`` is (3,), kidney frame.
+    """
     rows = [] if pelvis_mm is None else [("pelvis", pelvis_mm, "")]
     rows += [(c.name, c.tip_mm, c.pole) for c in calyces]
     with open(path, "w", newline="", encoding="utf-8") as file:

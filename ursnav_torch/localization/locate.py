@@ -125,7 +125,7 @@ class Localizer:
         return Judgement(ranking, calyces, answer, seen.calyx, numbers, refined, believed)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
-        """Features of a picture, as `locate` extracts them; the same errors."""
+        """Features of a picture (H, W) or (H, W, 3) blue, green, red, as `locate` extracts them; the same errors."""
         with one_thread_an_operation():
             return self._extractor.extract(image)
 

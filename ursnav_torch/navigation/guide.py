@@ -40,7 +40,7 @@ class Guide:
         self.coverage.add(T_kidney_camera, seconds)
 
     def guidance(self, T_kidney_camera: Array | None) -> Guidance:
-        """Coverage and the way on from a pose, or from the last one known."""
+        """Coverage and the way on from a pose (4, 4), or from the last one known."""
         if T_kidney_camera is not None:
             self._at = T_kidney_camera[:3, 3]
         chosen = self.chosen  # read once: another thread may choose meanwhile

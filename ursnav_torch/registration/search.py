@@ -156,7 +156,7 @@ def distinct(poses: Poses, cost: Tensor, points_em: Tensor, apart_mm: float) -> 
 
 
 def as_tensor(values: ArrayLike) -> Tensor:
-    """float32, the precision of the search."""
+    """Numbers (...) as float32 (...), the precision of the search."""
     return torch.tensor(np.asarray(values), dtype=torch.float32)
 
 

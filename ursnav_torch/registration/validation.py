@@ -81,7 +81,7 @@ def camera_errors(registration: Registration, em_mm: ArrayLike, camera_mm: Array
 
 
 def position_threshold(e_cam_mm: ArrayLike, em_mm: float = 0.7) -> float:
-    """Largest distance of a right match: mean and deviation of ``e_cam`` plus the sensor's error (Eq. 4.3-4.4).
+    """Largest distance of a right match, mm: mean and deviation of ``e_cam`` (N,) plus the sensor's error, Eq. 4.3-4.4.
 
     The registration's error is in ``e_cam`` already. The deviation is the sample's (n - 1), as in table 5.2.
 

@@ -43,7 +43,7 @@ class MatchReport:
     def add(
         self, row: dict[str, Any], location: Location | None, image: Picture | None, truth: str | None = None
     ) -> None:
-        """One picture: its row of the CSV, its location (None when there is an error) and itself.
+        """One picture: its row of the CSV, its location (None when there is an error) and itself, (H, W) or (H, W, 3).
 
         ``truth`` is the true calyx's name, blank for a picture of none, None where it is not known.
         """

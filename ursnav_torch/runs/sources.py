@@ -53,7 +53,7 @@ def live_source(read: Callable[[], NDArray[np.uint8] | None], seconds: float | N
     """Pictures as a camera gives them, until some seconds have passed or it is interrupted (Ctrl-C).
 
     Args:
-        read: waits for the next picture; None when the camera is at its end.
+        read: waits for the next picture, uint8 (H, W) or (H, W, 3); None when the camera is at its end.
         seconds: how long; None for ever.
     """
 

@@ -97,7 +97,11 @@ def scan_lumen(
     progress: Progress,
     header: ScanHeader | None = None,
 ) -> CtKidney:
-    """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface."""
+    """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface.
+
+    Args:
+        path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header: see `load_ct_kidney`.
+    """
     _check_choices(side, frame, faces)
     with progress(1, "scans read") as advance:
         scan = read_scan(path, series, header=header)

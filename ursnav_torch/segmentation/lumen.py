@@ -34,7 +34,7 @@ class Lumen:
 
 
 def largest_piece(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], float]:
-    """The largest connected piece of a mask, and its share of the whole."""
+    """The largest connected piece (X, Y, Z) of a mask (X, Y, Z), and its share of the whole."""
     labels, count = ndimage.label(mask, TOUCHING)
     if count <= 1:
         return mask, 1.0

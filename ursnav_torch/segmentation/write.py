@@ -42,6 +42,13 @@ def segment_scan(
     on the scan's own grid), ``preview.png``, ``calyces.csv``, ``centerline.csv``, ``segmentation.json``, and
     ``landmarks.csv`` where ``landmarks``, a .mrk.json with a point list, is given.
 
+    Args:
+        out: the folder to write.
+        path, series, label, side, seed_mm, threshold_hu, frame, faces: see `load_ct_kidney`.
+        calyces, centerline, header, progress: see `load_ct_kidney`.
+        landmarks: as above.
+        overwrite: whether ``out`` may be there already.
+
     Raises:
         InputError: ``out`` exists, or see `load_ct_kidney`.
     """

@@ -54,7 +54,10 @@ class EmField:
         self._warp = warp / np.linalg.norm(warp)
 
     def read(self, T_kidney_camera: Array) -> SensorReading:
-        """Position and quaternion x y z w of the sensor in the EM frame, or None when it is not seen."""
+        """Position in mm and quaternion x y z w of the sensor in the EM frame at a camera's pose (4, 4).
+
+        None when it is not seen.
+        """
         if self._random.random() < self.dropout:
             return None
         T = self.T_em_kidney @ T_kidney_camera @ transform_from(np.eye(3), self.sensor_offset_mm)

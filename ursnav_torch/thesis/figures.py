@@ -134,7 +134,7 @@ def agreement(c: Confusion) -> str:
 
 
 def spread(values: Array, form: str) -> str:
-    """Median and range of the finite values."""
+    """Median and range of the finite ones of values (N,)."""
     known = values[np.isfinite(values)]
     if not len(known):
         return "none"
@@ -151,7 +151,7 @@ def r_squared(x: Array, y: Array) -> float:
 
 
 def r_squared_text(points: Array, seconds: Array) -> str:
-    """R², or why there is none."""
+    """R² of seconds (N,) against points (N,) of N pictures, or why there is none."""
     r2 = r_squared(points, seconds)
     if np.isfinite(r2):
         return f"{r2:.2f}"

@@ -19,7 +19,7 @@ _GREEN, _ORANGE, _TRUE, _FOUND = (60, 230, 60), (40, 160, 255), (60, 140, 40), (
 
 
 def strip(o: Outcome, series: Matched, i: int, renderer: Renderer) -> Picture:
-    """One picture: itself, its edges, the matched view with its edges, and drawings from the pose found and true."""
+    """A row (H, W, 3): a picture, its edges, the matched view with its edges, drawings from the pose found and true."""
     picture, location = series.pictures.read(i), series.locations[i]
     true = renderer.render(series.pictures.T_kidney_camera[i]).image
     if location is None:
@@ -31,20 +31,20 @@ def strip(o: Outcome, series: Matched, i: int, renderer: Renderer) -> Picture:
 
 
 def view_with_edges(vid: Vid, view: int) -> Picture:
-    """A view of the VID with its edge points."""
+    """A view of the VID (H, W, 3) with its edge points."""
     f, mask = vid.features, vid.features.mask[view]
     edges = EdgePoints(f.points[view][mask], f.direction[view][mask], f.weight[view][mask])
     return draw_edges(read_image(vid.image_path(view)), edges, _ORANGE)
 
 
 def reference_pairs(o: Outcome, renderer: Renderer) -> Picture:
-    """Fig. 5.2: above, pictures of the phantom; below, the views that a hand found for them."""
+    """Fig. 5.2 (H, W, 3): above, pictures of the phantom; below, the views that a hand found for them."""
     above = _row([o.phantom.pictures.read(int(i)) for i in o.reference])
     return np.vstack([above, _row([renderer.render(T).image for T in o.T_reference])])
 
 
 def poses_overview(o: Outcome, series: Matched) -> Picture:
-    """The kidney from two sides: where each picture was taken (green), where it was placed (orange), and a line."""
+    """The kidney from two sides (S, 2 S, 3): where each picture was taken (green), where placed (orange), a line."""
     halves = []
     for from_side in (False, True):
         overview = draw_overview(o.vid.kidney, 480, from_side)
@@ -59,7 +59,7 @@ def poses_overview(o: Outcome, series: Matched) -> Picture:
 
 
 def drive_overview(o: Outcome) -> Picture:
-    """The robot's way through the kidney."""
+    """The robot's way through the kidney, from two sides (S, 2 S, 3)."""
     halves = []
     for from_side in (False, True):
         overview = draw_overview(o.vid.kidney, 480, from_side)
@@ -71,7 +71,7 @@ def drive_overview(o: Outcome) -> Picture:
 
 
 def places(o: Outcome, rows: list[int]) -> Picture:
-    """Fig. 5.27: the place of some phantom pictures as the surgeon would be shown it."""
+    """Fig. 5.27 (S, K S, 3): the places of K located phantom pictures as the surgeon would be shown them."""
     overview = draw_overview(o.vid.kidney, 320)
     drawn = [
         overview.with_camera(location.T_kidney_camera, reach_mm=7.0 * o.vid.kidney.scale)
@@ -82,7 +82,7 @@ def places(o: Outcome, rows: list[int]) -> Picture:
 
 
 def jpeg(picture: Picture, quality: int = 85) -> bytes:
-    """A picture as JPEG bytes."""
+    """A picture (H, W) or (H, W, 3) blue, green, red as JPEG bytes."""
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 

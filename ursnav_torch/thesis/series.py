@@ -68,7 +68,10 @@ def draw_pictures(
     preset: str,
     rng: np.random.Generator,
 ) -> DrawnPictures:
-    """Draw pictures with the faults of a sensor preset, drawn anew for each; write them and ``truth.csv``."""
+    """Draw pictures with the faults of a sensor preset, drawn anew for each; write them and ``truth.csv``.
+
+    They are taken at poses (N, 4, 4); ``calyx`` (N,) is the index of the calyx that each observes.
+    """
     (folder / "images").mkdir(parents=True, exist_ok=True)
     names, count = [], dict.fromkeys(range(len(vid.kidney.calyces)), 0)
     for T, c in zip(T_kidney_camera, calyx.tolist(), strict=True):

@@ -36,7 +36,10 @@ def smallest_turn(a: Array, b: Array) -> Array:
 
 
 def hand_collected(views: PlanSettings, kidney: Kidney, lumen: LumenDistance, T_kidney_start: Array) -> CollectedViews:
-    """Planned views at the roll that the scope will have, as the thesis's were flown by hand (§3.4)."""
+    """Planned views at the roll that the scope will have, as the thesis's were flown by hand (§3.4).
+
+    ``T_kidney_start`` (4, 4) is where it starts; see `as_scope_holds`.
+    """
     plan = plan_views(kidney, lumen, views)
     T = as_scope_holds(plan.T_kidney_camera, T_kidney_start)
     return CollectedViews((), T, None, Path("views collected by hand"))

@@ -167,7 +167,7 @@ class Tracker:
         return self.follow(self.extract(image), t_s, sensor, start)
 
     def extract(self, image: NDArray[np.uint8]) -> Features | None:
-        """What `follow` needs of a picture, None where it shows nothing; the one may run beside the other.
+        """What `follow` needs of a picture (H, W) or (H, W, 3), None where it shows nothing; both may run at once.
 
         Raises:
             InputError: see `step`.

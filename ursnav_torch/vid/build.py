@@ -119,6 +119,8 @@ def _draw_all(studio: Studio, T: NDArray[np.float64], work: Path, compute: Compu
 def draw_shard(studio: Studio, work: Path, shard: int, first: int, T: NDArray[np.float64]) -> int:
     """Draw views ``first``... and store their features as one shard; the number of views.
 
+    ``T`` (N, 4, 4) are their camera poses in the kidney frame.
+
     Pictures and features get their names one by one when they are whole, the features last: the same shard may be
     drawn by two workers of which one was thought lost, and either leaves the same bytes.
     """

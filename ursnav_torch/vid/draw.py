@@ -70,7 +70,7 @@ def wall_points(edges: EdgePoints, view: View, camera: Camera, T_kidney_camera: 
 
 
 def pack(rows: list[tuple[Features, NDArray[np.float32]]], width: int) -> ViewFeatures:
-    """Features of N pictures as padded tensors of ``width`` points."""
+    """Features of N pictures, each with its points on the wall (K, 3), mm, kidney frame, padded to ``width`` points."""
     n = len(rows)
     points, points_kidney = torch.zeros(n, width, 2), torch.full((n, width, 3), torch.nan)
     mask = torch.zeros(n, width, dtype=torch.bool)

@@ -115,7 +115,7 @@ def pack_message(message: Message) -> bytes:
 
 
 def pack_transform(T: ArrayLike) -> bytes:
-    """Content of a TRANSFORM: rotation by columns, then the translation in mm."""
+    """Content of a TRANSFORM for a pose (4, 4): rotation by columns, then the translation in mm."""
     T = np.asarray(T, float)
     return np.concatenate([T[:3, :3].T.ravel(), T[:3, 3]]).astype(">f4").tobytes()
 

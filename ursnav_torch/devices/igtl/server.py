@@ -145,7 +145,7 @@ class SlicerOutput(Output):
         self._server: OpenIgtlServer | None = None
 
     def publish_pose(self, T_kidney_camera: Array, t_wall_s: float) -> None:
-        """Send the pose to every Slicer that listens."""
+        """Send the pose (4, 4), mm, to every Slicer that listens."""
         self._check_connected()
         if self._server:
             self._server.send_pose(T_kidney_camera, self.device, t_wall_s)

@@ -44,7 +44,7 @@ class Drive:
         return x, y, z
 
     def joints_from_steps(self, steps: ArrayLike) -> Joints:
-        """The inverse of `steps` to half a step."""
+        """Joints of motor steps (3,): cable x, cable y, slider; the inverse of `steps` to half a step."""
         return self.joints(np.asarray(steps, float) / self.steps_per_mm)
 
 

@@ -39,7 +39,7 @@ class Hungarian:
         return assignment_bound(cost, shares > 0)
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
-        """Solve views in order of their bounds until no bound is below the `exact`-th best solution."""
+        """Solve views in order of their bounds until no bound is below the `exact`-th best; see `Method.finish`."""
         out = distances.clone()
         order = distances.argsort(stable=True)
         order = order[torch.isfinite(distances[order])]
@@ -69,7 +69,7 @@ class Hungarian:
         return Assignment(distance, view_point, strength)
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
-        """The optimal assignment."""
+        """The optimal assignment; see `Method.pairs`."""
         rows, columns, costs = self._solve(cost)
         return Correspondences(torch.as_tensor(rows), torch.as_tensor(columns), torch.as_tensor(costs).float())
 

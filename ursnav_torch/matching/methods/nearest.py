@@ -48,7 +48,7 @@ class Nearest:
         return there if self.sides == "query_to_view" else there.add_((of_views * shares).sum(1))
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
-        """Nothing is left to do."""
+        """Nothing is left to do; see `Method.finish`."""
         return distances
 
     def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
@@ -60,7 +60,7 @@ class Nearest:
         return Assignment(distance, view_point.T, strength)
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
-        """The cheapest counterpart of each query point, the best `keep` of them, cheapest first."""
+        """The cheapest counterpart of each query point, the best `keep` of them, cheapest first; see `Method.pairs`."""
         best, view = cost.min(1)
         kept = best.argsort()[: max(1, round(self.keep * len(best)))]
         return Correspondences(kept, view[kept], best[kept])

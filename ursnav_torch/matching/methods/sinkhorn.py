@@ -73,7 +73,7 @@ class Sinkhorn:
         return self.transport(cost, shares, weights).cost.float()
 
     def finish(self, distances: Tensor, costs_of: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
-        """Nothing is left to do."""
+        """Nothing is left to do; see `Method.finish`."""
         return distances
 
     def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
@@ -87,7 +87,7 @@ class Sinkhorn:
         return Assignment(moved.cost.float(), view_point.T, strength.T.float())
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
-        """The view point that receives most of each query point's mass."""
+        """The view point that receives most of each query point's mass; see `Method.pairs`."""
         even = torch.full((1, cost.shape[1]), 1 / cost.shape[1])
         view = self.transport(cost[:, None], even, weights).plan[:, 0].argmax(1)
         query = torch.arange(len(cost))

@@ -64,7 +64,7 @@ def simulate(
 def simulate_view(
     view: View, camera: Camera, T_kidney_camera: NDArray[np.float64], faults: SensorFaults, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """`simulate` from a view that is already rendered through ``camera``."""
+    """The picture (H, W, 3) of `simulate` from a view already rendered through ``camera`` at the pose (4, 4)."""
     return simulate_labeled(view, camera, T_kidney_camera, faults, rng).image
 
 

@@ -46,6 +46,6 @@ def surface_of(view: View, camera: Camera, T_kidney_camera: NDArray[np.float64])
 
 @lru_cache(maxsize=8)
 def lens_rays(camera: Camera) -> tuple[Floats, Mask]:
-    """`Camera.pixel_rays` in float32, kept for the next picture."""
+    """`Camera.pixel_rays`, directions (H, W, 3) in float32 and mask (H, W), kept for the next picture."""
     rays, mask = camera.pixel_rays()
     return rays.astype(np.float32), mask

@@ -72,7 +72,7 @@ def transform_of_voxels(spacing_mm: ArrayLike, direction: ArrayLike, origin_lps:
 
 
 def spread_box(low: ArrayLike, high: ArrayLike, shape: tuple[int, ...]) -> tuple[slice, slice, slice]:
-    """Voxels from ``low`` to ``high`` (3, both included), within a grid of ``shape``."""
+    """Voxels from ``low`` (3,) to ``high`` (3,), both included, within a grid of ``shape``."""
     first = np.clip(np.floor(low), 0, np.array(shape) - 1).astype(int)
     last = np.clip(np.ceil(high), 0, np.array(shape) - 1).astype(int) + 1
     x, y, z = (slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
