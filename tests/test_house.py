@@ -28,6 +28,7 @@ MANY_PARAMETERS = {
     "demo.run_demo": "what the runner was told, once",
     "match.match_images": "what the runner was told, once",
     "match._located": "what the runner was told, handed on to a worker",
+    "track._tracked": "what the runner was told, handed on",
     "navigate.navigate_vid": "what the runner was told, once",
     "track.track_source": "what the runner was told, once",
     "validate.judge_matches": "what the runner was told, once",
