@@ -49,7 +49,6 @@ LARGE_FOLDERS = {
 #: Longer functions, and why they are not cut.
 LONG = {
     "run.perform": "the thesis's protocol step by step: it is read beside the thesis",
-    "track.main": "the runner's overrides, a line each",
 }
 
 
