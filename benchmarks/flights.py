@@ -1,10 +1,9 @@
 """Tracking over a population of flights: half of them choose the settings, the other half judges.
 
-    python -m benchmarks.flights work=DIR                       # the judging half, live, without odometry
+    python -m benchmarks.flights work=DIR                       # the judging half, live
     python -m benchmarks.flights work=DIR half=choosing         # the half that settings may be chosen with
     python -m benchmarks.flights work=DIR data=DIR              # the kidneys in DIR judge, too
     python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
-    python -m benchmarks.flights work=DIR odometry=true         # with what the robot reports
     python -m benchmarks.flights work=DIR other=true            # every flight in the next kidney's VID: ends lost?
 
 Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
@@ -24,7 +23,7 @@ from benchmarks.shared.track_scores import add_refusals, add_scores
 from ursnav_torch.errors import InputError
 
 SETTINGS = {
-    "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "", "odometry": False,
+    "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
     "other": False,
     "only": "", "out": "",
 }  # fmt: skip
@@ -41,8 +40,8 @@ def main(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         choices = [
-            Choice(odometry=settings["odometry"], other=settings["other"]),
-            *Choice.varied(settings["vary"], settings["odometry"]),
+            Choice(other=settings["other"]),
+            *Choice.varied(settings["vary"]),
         ]
         records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
         for choice, record in _all_records(settings, work, choices):

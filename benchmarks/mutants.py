@@ -43,7 +43,7 @@ _PRELOADED = ("torch", "kornia", "cv2", "scipy.spatial.transform", "scipy.optimi
               "networkx", "embreex", "skimage.measure", "hydra", "hypothesis", "pytest", "safetensors", "rich",
               "matplotlib.figure", "SimpleITK", "serial")  # fmt: skip
 #: Rooms whose faults change what the small VID of the tests holds, so that it has to be built anew.
-_BUILD_ANEW = ("camera", "features", "files", "geometry", "kidney", "matching", "rendering", "vid")
+_BUILD_ANEW = ("camera", "features", "files", "geometry", "kidney", "rendering", "vid")
 _PRELOADED_ANYWAY = "ignore::pytest.PytestAssertRewriteWarning"
 _PASSED, _FAILED, _BROKEN = 0, 1, 99
 

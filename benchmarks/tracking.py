@@ -100,18 +100,17 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     start = time.perf_counter()
     for _, last in follow(tracker, source, lambda m: readings[m.frame] if readings else None):
         answers.append(last)
-        if last.state == TRACKING and np.isfinite(last.score):
+        if last.T_kidney_camera is not None and np.isfinite(last.score):
             coverage.add(last.T_kidney_camera, 0.1)
     rate = len(answers) / (time.perf_counter() - start)
     for pose in T[: len(answers)]:
         truth.add(pose, 0.1)
     on = np.array([a.state == TRACKING for a in answers])
-    poses = np.array([a.T_kidney_camera if a.state == TRACKING else np.full((4, 4), np.nan) for a in answers])
+    poses = np.array([np.full((4, 4), np.nan) if a.T_kidney_camera is None else a.T_kidney_camera for a in answers])
     errors = pose_errors(poses, T[: len(on)])
     apart = errors.position_mm
     labeled = [i for i, name in enumerate(exploration.calyx[: len(on)]) if name]
-    told = [vid.calyx_name(a.calyx) if a.state == TRACKING else "" for a in answers]
-    right = [told[i] == exploration.calyx[i] for i in labeled]
+    right = [vid.calyx_name(answers[i].calyx) == exploration.calyx[i] for i in labeled]
     report.add(group, "right calyx, of pictures that have one", "%", [100 * float(np.mean(right))], n=len(right))
     report.add(group, "position", "mm", apart[on].tolist())
     report.add(group, "position, 90th percentile", "mm", [float(np.percentile(apart[on], 90))], n=int(on.sum()))

@@ -1,6 +1,6 @@
 """Lengths in settings are anatomy's: one rule makes them a larger phantom's."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import pytest
@@ -9,7 +9,6 @@ from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.exploration.coverage import CoverageSettings
 from ursnav_torch.exploration.route import ScopeLimits
 from ursnav_torch.scaling import LENGTH_ENDINGS, scaled
-from ursnav_torch.tracking.odometry import OdometrySettings
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.vid import PlanSettings
 
@@ -37,10 +36,14 @@ def test_every_length_and_no_other_number_follows_the_scale(settings: Any) -> No
         assert after[name] == expected, name
 
 
+@dataclass(frozen=True)
+class Steps:
+    steps_mm: list[float] | tuple[float, ...]
+
+
 def test_several_lengths_from_a_file_are_a_list() -> None:
-    """`track` reads its settings from YAML, where a tuple is a list: that ended in a TypeError."""
-    track = TrackSettings(odometry=OdometrySettings(insertion_plays_mm=[0.0, 1.0]))  # type: ignore[arg-type]
-    assert scaled(track, 2.0).odometry.insertion_plays_mm == (0.0, 2.0)
+    """A runner reads its settings from YAML, where a tuple is a list: that ended in a TypeError."""
+    assert scaled(Steps([0.0, 1.0]), 2.0).steps_mm == (0.0, 2.0)
 
 
 def test_settings_only() -> None:

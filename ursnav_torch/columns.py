@@ -9,12 +9,7 @@ UNITY_COLUMNS = ("x_unity", "y_unity", "z_unity", "qx", "qy", "qz", "qw")
 #: What `match` writes.
 MATCH_COLUMNS = ("image", "calyx", *POSE_COLUMNS, "view", "distance", "confidence", "accepted", "seconds", "error")
 #: What `track` writes.
-TRACK_COLUMNS = (
-    "frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds",
-    "calyces", "position_sd_mm", "direction_sd_deg",
-)  # fmt: skip
-#: What a robot reports of its joints, slack and hysteresis included.
-ODOMETRY_COLUMNS = ("t_s", "insertion_mm", "bend_x_deg", "bend_y_deg")
+TRACK_COLUMNS = ("frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds")
 #: True poses of pictures.
 TRUTH_COLUMNS = ("image", "calyx", *POSE_COLUMNS)
 #: An EM sensor's position and axis in the EM frame; ``frame`` or ``image`` and ``t_s`` stand before them where known.

@@ -34,8 +34,6 @@ KINDS = ("thesis_simulation", "thesis_phantom", "in_vivo_like")
 FIRST_SEED = 40
 _RATES, _SPEEDS = (10.0, 15.0, 30.0), (2.0, 20.0)
 _LENS_PX = 250
-#: No scope is pulled out faster.
-_FASTEST_MM_S = 25.0
 #: Part of its range that severity 1 takes a preset's faults to; the ends of all of them together are no picture.
 _WORST_SHARE = 0.6
 
@@ -135,10 +133,9 @@ def _drawn(case: Case, pictures: int) -> tuple[FlightSettings, Scope]:
     """How a case is flown, and with what scope."""
     rng, s = np.random.default_rng([case.number, 1]), case.severity
     low, high = _SPEEDS
-    speed = float(low * (high / low) ** rng.beta(1.5, 2))
     flying = FlightSettings(
-        speed_mm_s=speed,
-        withdrawal=min(float(rng.uniform(1, 3)), _FASTEST_MM_S / speed),
+        speed_mm_s=float(low * (high / low) ** rng.beta(1.5, 2)),
+        withdrawal=float(rng.uniform(1, 3)),
         turn_deg_s=float(rng.uniform(40, 90)),
         pictures_per_s=float(rng.choice(_RATES, p=(0.6, 0.2, 0.2))),
         pictures=pictures,

@@ -16,12 +16,13 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
+#: The settings classes of a `Tracker` by their names in `TrackSettings`.
+SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -33,38 +34,31 @@ class Choice:
     """
 
     overrides: tuple[tuple[str, str, float], ...] = ()
-    odometry: bool = False
     other: bool = False
 
     @classmethod
-    def varied(cls, text: str, odometry: bool) -> list["Choice"]:
+    def varied(cls, text: str) -> list["Choice"]:
         """``group.name=value,value`` as one choice a value; none of an empty text."""
         if not text:
             return []
         name, _, values = text.partition("=")
         group, _, name = name.partition(".")
-        return [cls(((group, name, float(v)),), odometry) for v in values.split(",")]
+        return [cls(((group, name, float(v)),)) for v in values.split(",")]
 
-    def settings(self) -> TrackSettings:
-        """The settings of a `Tracker`.
-
-        Raises:
-            InputError: there is no such setting.
-        """
-        found = TrackSettings()
+    def groups(self) -> dict[str, Any]:
+        """Arguments for the `Tracker`."""
+        found: dict[str, Any] = {}
+        kinds = SETTINGS_GROUPS
         for group, name, value in self.overrides:
-            part = getattr(found, group, None)
-            if part is None or not hasattr(part, name):
-                raise InputError(
-                    f"{group}.{name} is no setting of tracking; groups are {', '.join(f.name for f in fields(found))}."
-                )
-            changed = replace(part, **{name: type(getattr(part, name))(value)})
-            found = replace(found, **{group: changed})
-        return found
+            if group not in kinds or name not in {f.name for f in fields(kinds[group])}:
+                raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
+            base = found.get(group, kinds[group]())
+            found[group] = replace(base, **{name: type(getattr(base, name))(value)})
+        return {"settings": TrackSettings(**found)}
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]
-        parts += ["odometry"] * self.odometry + ["in another kidney's VID"] * self.other
+        parts += ["in another kidney's VID"] * self.other
         return ", ".join(parts)
 
 
@@ -79,9 +73,7 @@ class Record:
         calyx, true_calyx: (N,) indices, -1 for none.
         position_sd_mm, direction_sd_deg: (N,) nan where not told.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        aligned: (N, 4, 4) poses before the filter, nan where a picture showed nothing.
-        evidence: (N, 4) score, and the three numbers of an `Evidence`.
-        right: (N,) probability that the place is the right one.
+        extra: (N, K) diagnostics: fit, score, confidence.
     """
 
     flown: Flown
@@ -91,9 +83,7 @@ class Record:
     true_calyx: NDArray[np.int64]
     position_sd_mm: Array
     direction_sd_deg: Array
-    aligned: Array
-    evidence: Array
-    right: Array
+    extra: Array
 
     @property
     def off_mm(self) -> Array:
@@ -109,7 +99,7 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
     key = hashlib.sha256((_sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
     path = seen.folder / f"{'refused' if choice.other else 'track'}_{key}.npz"
     if not path.exists():
-        answers = list(_answers(seen, Tracker(vid, choice.settings()), choice))
+        answers = list(_answers(seen, Tracker(vid, **choice.groups()), choice))
         np.savez(path, **_arrays(answers))
     with np.load(path) as kept:
         true = observed_calyx(seen.flight.T_kidney_camera, vid.kidney, lumen)
@@ -118,8 +108,7 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
 
 def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]:
     for i, features in enumerate(features_of(seen, tracker)):
-        told = OdometryReading(*seen.flight.odometry[i].tolist()) if choice.odometry else None
-        yield tracker.follow(features, float(seen.flight.t_s[i]), odometry=told)
+        yield tracker.follow(features, float(seen.flight.t_s[i]))
 
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
@@ -141,15 +130,10 @@ def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
         "state": np.array([a.state for a in answers]),
         "T": np.array([nowhere if a.T_kidney_camera is None else a.T_kidney_camera for a in answers]),
         "calyx": np.array([a.calyx for a in answers]),
-        "position_sd_mm": np.array([a.position_sd_mm for a in answers]),
-        "direction_sd_deg": np.array([a.direction_sd_deg for a in answers]),
-        "aligned": np.array([nowhere if a.T_aligned is None else a.T_aligned for a in answers]),
-        "evidence": np.array([
-            [np.nan] * 4 if a.evidence is None else [a.score, a.evidence.score, a.evidence.lead, a.evidence.fit]
-            for a in answers
-        ]),
-        "right": np.array([a.right for a in answers]),
-    }  # fmt: skip
+        "position_sd_mm": np.array([getattr(a, "position_sd_mm", np.nan) for a in answers]),
+        "direction_sd_deg": np.array([getattr(a, "direction_sd_deg", np.nan) for a in answers]),
+        "extra": np.array([[a.fit, a.score, a.confidence] for a in answers]),
+    }
 
 
 def _sources(rooms: tuple[str, ...]) -> str:

@@ -65,11 +65,14 @@ def test_the_score_is_the_drawings_where_it_was_moved_to(aligner: Aligner, pairs
     assert there > here > back
 
 
-def test_no_step_is_longer_than_its_linearization_can_be_trusted(phantom: Kidney, aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
-    seen, T, _ = pairs[0]
-    aside = T @ transform_from(Rotation.from_rotvec([0.0, 0.0, np.radians(25.0)]).as_matrix(), np.zeros(3))
-    mm, deg = off(aligner.align(seen, aside, iterations=1, light_known=True).T_kidney_camera, aside)
-    assert 0 < mm <= 1.5 + 1e-9 and 0 < deg <= 8.0 + 1e-6
+@pytest.mark.parametrize(("mm", "deg"), [(3.0, 4.0), (0.5, 40.0), (6.0, 80.0)])
+def test_no_step_is_longer_than_its_linearization_can_be_trusted(aligner: Aligner, mm: float, deg: float) -> None:
+    """It keeps its direction, the light's part too."""
+    step = np.concatenate([[0.0, mm, 0.0], [np.radians(deg), 0.0, 0.0], [1.0, 0, 0, 0, 0]])
+    short = aligner._limited(step)
+    share = min(1.5 / mm, 8.0 / deg, 1.0)
+    np.testing.assert_allclose(short, share * step)
+    np.testing.assert_array_equal(aligner._limited(short), short)
 
 
 def test_residuals_beyond_five_times_their_size_do_not_count() -> None:

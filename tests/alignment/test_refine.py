@@ -8,8 +8,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment.align import Aligned
 from ursnav_torch.alignment.fields import AlignGrid
 from ursnav_torch.alignment.light import AT_CAMERA, STEP, gray_values
+from ursnav_torch.alignment.refine import _better_half
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features, ThesisSettings
@@ -108,6 +110,18 @@ def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refi
     found = refiner.refine(features(fine, phantom, T), [fine.T_kidney_camera[30], fine.T_kidney_camera[60], near])
     assert found.hypothesis == 2
     assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.1
+
+
+def test_the_better_half_goes_on_best_first_and_none_that_is_far_below() -> None:
+    def left(*scores: float) -> list[int]:
+        return [
+            i for i, _ in _better_half([(i, Aligned(np.eye(4), AT_CAMERA, s, 1)) for i, s in enumerate(scores)], None)
+        ]
+
+    assert left(0.70, 0.72, 0.69, 0.71) == [1, 3]
+    assert left(0.70, 0.72, 0.71) == [1, 2]
+    assert left(0.70, 0.40, 0.30, 0.20) == [0]
+    assert left(-1.0) == [0]
 
 
 def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(

@@ -57,6 +57,17 @@ def test_the_calyx_is_the_one_at_the_smallest_angle_of_those_near(phantom: Kidne
         assert answer == (near[cosines.argmax()] if len(near) else -1)
 
 
+def test_what_is_observed_does_not_depend_on_the_kidneys_scale(phantom: Kidney, lumen: LumenDistance) -> None:
+    """14 mm of anatomy are 25.2 mm in the thesis's phantom."""
+    twice = phantom.scaled(1.8)
+    paths = [phantom.centerline.points_mm[phantom.centerline.path_to(c)][:-4] for c in range(len(phantom.calyces))]
+    T = np.concatenate([look_along(at, calyx.tip_mm - at) for at, calyx in zip(paths, phantom.calyces, strict=True)])
+    large = T.copy()
+    large[:, :3, 3] *= 1.8
+    small, answers = observed_calyx(T, phantom, lumen), observed_calyx(large, twice, LumenDistance.from_kidney(twice))
+    assert (small == -1).mean() > 0.1 and np.mean(small == answers) > 0.95
+
+
 def test_none_is_observed_from_far_and_of_no_camera(phantom: Kidney, lumen: LumenDistance) -> None:
     ureter = look_along(np.array([[-15.0, 0.0, -10.0]]), np.array([[-1.0, 0.0, 0.0]]))
     assert observed_calyx(ureter, phantom, lumen).tolist() == [-1]

@@ -66,6 +66,19 @@ def test_ragged_sets_in_a_batch_are_as_each_alone(method: object) -> None:
     )
 
 
+@pytest.mark.parametrize("method", [*METHODS, Nearest(sides="view_to_query")])
+def test_pairs_at_once_are_as_each_alone_however_many_points_views_have(method: object) -> None:
+    views = [blob(1, 10), blob(2, 60), blob(3, 33), blob(5, 45)]
+    found = matcher(views, Matching(method=method, cost=EVERY_TERM))  # type: ignore[arg-type]
+    points, along = asked(blob(4, 25))
+    chosen = torch.tensor([2, 0, 3])
+    together = found.assign(points.expand(3, -1, -1), along.expand(3, -1), chosen)
+    alone = found.distances(points, along)[chosen]
+    torch.testing.assert_close(together.distance, alone, atol=1e-3 if isinstance(method, Sinkhorn) else 2e-6, rtol=0)
+    for view, points_of_it in zip(chosen.tolist(), together.view_point, strict=True):
+        assert points_of_it.max() < len(views[view])
+
+
 def test_two_threads_agree_with_one() -> None:
     views = [blob(seed, 100) for seed in range(300)]
     found = matcher(views, Matching(cost=EVERY_TERM))

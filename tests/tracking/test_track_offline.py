@@ -88,17 +88,6 @@ def test_of_two_poses_the_better_aligned_counts_unless_motion_forbids_it(tracker
     assert off(joined(tracker, dull, leap), poses[:9]).max() < 0.6
 
 
-def test_two_wide_beliefs_of_one_place_make_a_narrow_one(tracker: Tracker, poses: np.ndarray) -> None:
-    def wide(T: np.ndarray, right: float = 0.99) -> Tracked:
-        return Tracked(SEARCHING, T, 1, 0.9, np.nan, np.nan, 0.05, position_sd_mm=1.4, right=right)
-
-    ends = [answer(T) for T in poses[:3]], [answer(T) for T in poses[4:7]]
-    for other, state in ((wide(poses[3]), TRACKING), (wide(ahead_by(poses[3], -9.0)), SEARCHING)):
-        found = joined(tracker, [*ends[0], wide(poses[3]), *ends[1]], [*ends[0], other, *ends[1]])
-        assert found[3].state == state
-    assert joined(tracker, [wide(poses[3], 0.5)], [wide(poses[3], 0.5)])[0].state == SEARCHING
-
-
 def test_the_sensor_says_which_of_two_poses(tracker: Tracker, poses: np.ndarray) -> None:
     T = poses[5]
     reading = SensorReading(ahead_by(T, -6.0)[:3, 3], np.zeros(3), 0.8)

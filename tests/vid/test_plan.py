@@ -36,6 +36,25 @@ def test_the_scope_could_stand_there(views: Plan, phantom: Kidney, settings: Pla
     assert np.mean(inside >= settings.scope_radius_mm) > 0.95
 
 
+def test_no_view_bends_more_than_the_scope(phantom: Kidney, phantom_lumen: LumenDistance) -> None:
+    """Against the way one bending length behind, found anew from the centerline."""
+    few = PlanSettings(views_per_calyx=10, passage_views=0)
+    bends = []
+    for limit in (35.0, few.largest_bend_deg):
+        settings = replace(few, largest_bend_deg=limit)
+        views, worst = plan_views(phantom, phantom_lumen, settings), []
+        for c in range(len(phantom.calyces)):
+            way = phantom.centerline.points_mm[phantom.centerline.path_to(c)]
+            along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+            for T in views.T_kidney_camera[10 * c : 10 * c + 10]:
+                here = along[np.linalg.norm(way - T[:3, 3], axis=1).argmin()]
+                back = max(here - settings.bending_length_mm, 0.0)
+                a, b = (np.array([np.interp(s, along, way[:, i]) for i in range(3)]) for s in (back, back + 4.0))
+                worst.append(float(np.degrees(angle_between(b - a, T[:3, 2]))))
+        bends.append(max(worst))
+    assert bends[0] < 35.0 + 8.0 < bends[1]  # a chord of the centerline is no tangent
+
+
 def test_labels_follow_the_rule(views: Plan, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
     """Within 14 mm along the lumen, the tip at the smallest angle to the optical axis; else none."""
     along = phantom_lumen.to_calyces(views.T_kidney_camera[:, :3, 3])

@@ -159,35 +159,8 @@ class Aligner:
         gray[np.isfinite(distance)] = gray_values(self._rays[hit] * depth[hit, None], -normals[hit] @ R, lights)
         return gray, distance
 
-    def information(self, picture: Fields, drawing: Drawing, T_kidney_camera: Array, light: Array) -> Array:
-        """Information matrix (6, 6) of a pose: J^T W J over the compared pixels, the light unknown (Schur complement).
-
-        For position (mm), then turn (radians), both in the camera's frame, and fields of unit variance; times the
-        noise's inverse variance it is the inverse covariance. A straight tube gives little along the axis.
-        """
-        moved = _State(inverse(T_kidney_camera) @ drawing.T_kidney_camera, light - drawing.light)
-        _, equations = self._equations(picture, drawing, moved)
-        if equations is None:
-            return np.zeros((6, 6))
-        normal, _ = equations
-        if len(normal) == 6:
-            return normal
-        beside = normal[:6, 6:]
-        return normal[:6, :6] - beside @ np.linalg.solve(normal[6:, 6:], beside.T)
-
     def _step(self, picture: Fields, drawing: Drawing, state: _State) -> tuple[float, Array | None]:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
-        score, equations = self._equations(picture, drawing, state)
-        if equations is None:
-            return score, None
-        normal, slant = equations
-        normal += np.diag(_DAMPING * np.diag(normal) + 1e-9)
-        step = np.zeros(6 + len(state.light))
-        step[: len(slant)] = -np.linalg.solve(normal, slant)
-        return score, self._limited(step)
-
-    def _equations(self, picture: Fields, drawing: Drawing, state: _State) -> tuple[float, tuple[Array, Array] | None]:
-        """Score of a state, and the normal equations there with the light's prior; None where too little is seen."""
         T = state.T_picture_drawing
         pixels, _ = self.grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
         value, slope, compared = self.grid.sample(picture, pixels)
@@ -207,11 +180,14 @@ class Aligner:
         gradient = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
         lit = drawing.lit * (-gain / drawn_size)
         normal, slant = _normal_equations(drawing.motion, gradient, lit, weight, residual)
+        normal += np.diag(_DAMPING * np.diag(normal) + 1e-9)
         if len(drawing.lit):
             prior = _LIGHT_PRIOR * count / SPREAD**2
             normal[np.arange(6, 11), np.arange(6, 11)] += prior
             slant[6:] += prior * (drawing.light + state.light - AT_CAMERA)
-        return float(correlation.mean()), (normal, slant)
+        step = np.zeros(6 + len(state.light))
+        step[: len(slant)] = -np.linalg.solve(normal, slant)
+        return float(correlation.mean()), self._limited(step)
 
     def _limited(self, step: Array) -> Array:
         """A step shortened to what one linearization can be trusted with."""

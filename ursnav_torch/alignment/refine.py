@@ -143,13 +143,6 @@ class Refiner:
             picture = aligner.grid.of_picture(features.fields[0])
         return aligner.score(picture, refined.drawing, refined.T_kidney_camera, refined.light)
 
-    def information(self, features: Features, refined: Refined) -> Array:
-        """What a picture says of a refined pose, (6, 6), see `Aligner.information`."""
-        aligner = self._aligners[-1]
-        with torch.inference_mode():
-            picture = aligner.grid.of_picture(features.fields[0])
-        return aligner.information(picture, refined.drawing, refined.T_kidney_camera, refined.light)
-
     def relief(self, refined: Refined) -> Floats:
         """The relief (H, W), on the finer grid, of the drawing that a refined pose and its light give."""
         return self._aligners[-1].relief(refined.T_kidney_camera, refined.light)

@@ -24,7 +24,6 @@ from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import pose_cells
@@ -44,13 +43,12 @@ STALE_S = 2.0
 @dataclass(frozen=True, slots=True)
 class _Job:
     """A picture to be located: its number among those given, when it was captured by this machine's clock, and the
-    newest EM reading and report of the robot before it."""
+    newest EM reading before it."""
 
     number: int
     frame: Frame
     captured_s: float
     sensor: SensorReading | None
-    odometry: OdometryReading | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +86,6 @@ class Navigator:
         self._seen: Newest[_Seen] = Newest()
         self._poses: Newest[tuple[Array | None, float]] = Newest()  # pose and the picture's time
         self._reading: SensorReading | None = None
-        self._joints: OdometryReading | None = None
         self._results: deque[Result] = deque(maxlen=1000)
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
         self._given = self._finished = 0
@@ -115,14 +112,11 @@ class Navigator:
         if isinstance(event, Frame):
             captured = event.stamp.t_mono_s if self._pace.stamped_now else time.monotonic()
             self._given += 1
-            self._jobs.put(_Job(self._given, event, captured, self._reading, self._joints))
+            self._jobs.put(_Job(self._given, event, captured, self._reading))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = self._sensor(event)
-        elif isinstance(event, RobotSample):
-            joints = event.joints
-            self._joints = OdometryReading(joints.insertion_mm, joints.bend_x_rad, joints.bend_y_rad)
-            if event.state != self.bus.latest().robot:
-                self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
+        elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:
+            self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
         elif isinstance(event, Note) and event.level != "info":
             self.bus.update(lambda state: replace(state, notice=event.text))
 
@@ -194,8 +188,7 @@ class Navigator:
                 self.tracker.reset()
             job, begun = seen.job, time.monotonic()
             try:
-                t_s = job.frame.stamp.t_mono_s
-                tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry)
+                tracked = self.tracker.follow(seen.features, job.frame.stamp.t_mono_s, job.sensor)
             except Exception as error:
                 self.tracker.reset()  # whatever it was, it must not last
                 self._fail(job, error)
@@ -226,9 +219,7 @@ class Navigator:
     def _publish(self, seen: _Seen, tracked: Tracked, begun: float) -> None:
         """Put a picture's pose on the bus and its row among the results."""
         job = seen.job
-        certain = tracked.state == TRACKING  # what is only guessed is on the record, not before the operator
-        T = tracked.T_kidney_camera if certain else None
-        name = self.vid.calyx_name(tracked.calyx) if certain else ""
+        T, name = tracked.T_kidney_camera, self.vid.calyx_name(tracked.calyx)
         if T is not None:
             self._trail.add(T[:3, 3])
         now, level = time.monotonic(), self._governor.level
@@ -325,7 +316,6 @@ def _row(job: _Job, tracked: Tracked, calyx: str, latency: Latency, effort: int)
     if tracked.T_kidney_camera is not None:
         row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
         row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}
-        row |= {"position_sd_mm": tracked.position_sd_mm, "direction_sd_deg": tracked.direction_sd_deg}
     seconds = {"waiting_s": latency.waiting_s, "features_s": latency.features_s, "tracking_s": latency.tracking_s}
     seconds["latency_s"] = latency.total_s
     return row | {k: round(v, 4) for k, v in seconds.items()} | {"effort": effort}

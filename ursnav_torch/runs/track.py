@@ -3,7 +3,7 @@
 import csv
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +22,11 @@ from ursnav_torch.runs.sources import live_source
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
 
-
-@dataclass(frozen=True, slots=True)
-class Instruments:
-    """What is known beside the pictures: an EM reading, and what the robot reports, for a picture; None without."""
-
-    sensor: Callable[[Moment], SensorReading | None] | None = None
-    odometry: Callable[[Moment], OdometryReading | None] | None = None
-
+Sensor = Callable[[Moment], SensorReading | None]
 
 #: Every so many views of the VID are asked what they can see; neighbors see the same.
 _REACH_STRIDE = 4
@@ -44,7 +36,7 @@ def track_source(
     tracker: Tracker,
     source: Source,
     out: Path,
-    instruments: Instruments | None,
+    sensor: Sensor | None,
     overwrite: bool,
     progress: Progress,
     offline: bool = False,
@@ -59,7 +51,7 @@ def track_source(
         tracker: fresh.
         source: the pictures.
         out: CSV file of the rows.
-        instruments: EM readings and odometry for pictures, as far as there are.
+        sensor: an EM reading for a picture.
         overwrite: replace what stands there.
         progress: shows how far it is.
         offline: follow a recording both ways before anything is answered, see `track_offline`.
@@ -83,8 +75,7 @@ def track_source(
     }
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
-            summary, ended = _tracked(tracker, source, whole, instruments or Instruments(), progress, offline,
-                                      besides.exploration)  # fmt: skip
+            summary, ended = _tracked(tracker, source, whole, sensor, progress, offline, besides.exploration)
             whole.outcome = [summary + besides.write(whole), ended]
     told, ended = whole.outcome
     return str(told), bool(ended)
@@ -99,7 +90,7 @@ def _tracked(
     tracker: Tracker,
     source: Source,
     whole: WholeSet,
-    instruments: Instruments,
+    sensor: Sensor | None,
     progress: Progress,
     offline: bool,
     exploration: ExplorationSettings,
@@ -116,12 +107,11 @@ def _tracked(
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
         with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
             try:
-                answers = follow(tracker, source, instruments.sensor, advance, instruments.odometry)
-                for row, tracked in track_rows(tracker, answers, coverage):
+                for row, tracked in track_rows(tracker, follow(tracker, source, sensor, advance), coverage):
                     writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
                     spent.append(tracked.seconds)
                     states[tracked.state] = states.get(tracked.state, 0) + 1
-                    last, ended = (tracked.T_kidney_camera if tracked.state == TRACKING else last), tracked.state
+                    last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
             except KeyboardInterrupt:
                 interrupted = True
         if interrupted and not states:

@@ -27,7 +27,7 @@ class TrackFile:
     Attributes:
         frame: (N,) numbers of the pictures.
         t_s: (N,) when they were taken.
-        T_kidney_camera: (N, 4, 4), nan unless tracking: a pose that is only guessed is none.
+        T_kidney_camera: (N, 4, 4), nan where there is none.
         calyx: of each, blank for none.
         state: of each.
     """

@@ -7,11 +7,8 @@ import numpy as np
 
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.tracking.follow import Moment
-from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
+from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import pose_cells
-
-#: What `calyces` says where the picture may show none.
-NO_CALYX = "none"
 
 
 def track_rows(
@@ -25,20 +22,15 @@ def track_rows(
     for moment, tracked in answers:
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
-        T = tracked.T_kidney_camera if tracked.state == TRACKING and np.isfinite(tracked.score) else None
-        if coverage is not None and T is not None:
-            coverage.add(T, passed)
+        if coverage is not None and tracked.T_kidney_camera is not None and np.isfinite(tracked.score):
+            coverage.add(tracked.T_kidney_camera, passed)
         yield track_row(moment, tracked, tracker), tracked
 
 
 def track_row(moment: Moment, tracked: Tracked, tracker: Tracker) -> dict[str, Any]:
-    """The columns of one answer: a pose and its spread where anything is known, a calyx only while tracking."""
+    """The columns of one answer; pose and calyx are blank unless tracking."""
     row: dict[str, Any] = {"frame": moment.frame, "t_s": moment.t_s, "state": tracked.state}
     if tracked.T_kidney_camera is not None:
         row |= pose_cells(tracked.T_kidney_camera[None])[0]
-        row |= {"confidence": float(tracked.confidence)}
-        row |= {"calyces": "|".join(tracker.vid.calyx_name(c) or NO_CALYX for c in tracked.calyces)}
-        row |= {"position_sd_mm": tracked.position_sd_mm, "direction_sd_deg": tracked.direction_sd_deg}
-    if tracked.state == TRACKING:
-        row |= {"calyx": tracker.vid.calyx_name(tracked.calyx)}
+        row |= {"calyx": tracker.vid.calyx_name(tracked.calyx), "confidence": float(tracked.confidence)}
     return row | {"seconds": tracked.seconds}

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features import Features
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 
@@ -72,11 +71,9 @@ def follow_source(
     source: Source,
     sensor: Callable[[Moment], SensorReading | None] | None = None,
     advance: Callable[[int], None] = lambda n: None,
-    odometry: Callable[[Moment], OdometryReading | None] | None = None,
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture and the answer to it, as soon as it is known; ``advance`` is called with 1 after each."""
     for moment, features, spent in extracted(tracker, source):
         start = time.perf_counter() - spent
-        told = odometry(moment) if odometry else None
-        yield moment, tracker.follow(features, moment.t_s, sensor(moment) if sensor else None, start, told)
+        yield moment, tracker.follow(features, moment.t_s, sensor(moment) if sensor else None, start)
         advance(1)

@@ -19,10 +19,8 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
-from ursnav_torch.tracking.belief import REGION_90
 from ursnav_torch.tracking.follow import Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
@@ -32,11 +30,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """A picture on the way there: when, the instruments' readings, the answer, and whether its relief was kept."""
+    """A picture on the way there: when, the EM reading, the answer, and whether its relief was kept."""
 
     moment: Moment
     reading: SensorReading | None
-    told: OdometryReading | None
     answer: Tracked
     kept: bool
 
@@ -46,7 +43,6 @@ def follow_both_ways(
     source: Source,
     sensor: Callable[[Moment], SensorReading | None] | None = None,
     advance: Callable[[int], None] = lambda n: None,
-    odometry: Callable[[Moment], OdometryReading | None] | None = None,
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture of a file, without its image, and the answer to it once all have been seen.
 
@@ -58,7 +54,6 @@ def follow_both_ways(
         source: of recorded pictures.
         sensor: an EM reading for a picture.
         advance: called with 1 after every picture, on both ways.
-        odometry: what the robot reports for a picture.
 
     Raises:
         InputError: the source is live.
@@ -70,17 +65,16 @@ def follow_both_ways(
         with tempfile.TemporaryFile() as spool:
             for moment, features, spent in extracted(tracker, source):
                 start, reading = time.perf_counter() - spent, sensor(moment) if sensor else None
-                told = odometry(moment) if odometry else None
-                answer = tracker.follow(features, moment.t_s, reading, start, told)
+                answer = tracker.follow(features, moment.t_s, reading, start)
                 if features is not None:
                     spool.write(features.fields[0].numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
-                there.append(_Followed(light, reading, told, answer, features is not None))
+                there.append(_Followed(light, reading, answer, features is not None))
                 advance(1)
             back = []
             for step, features in zip(reversed(there), _recalled(tracker, there, spool), strict=True):
                 t_s = 2 * there[-1].moment.t_s - step.moment.t_s
-                back.append(tracker.follow(features, t_s, step.reading, odometry=step.told))
+                back.append(tracker.follow(features, t_s, step.reading))
                 advance(1)
         forward, times = [step.answer for step in there], [step.moment.t_s for step in there]
         answers = join(forward, back[::-1], times, tracker, [step.reading for step in there])
@@ -106,8 +100,6 @@ def join(
     answers = []
     for f, b in zip(forward, backward, strict=True):
         seen = b if b.state == TRACKING or not (f.state == TRACKING and b.state == SEARCHING) else f
-        if f.state == SEARCHING == b.state:
-            seen = _fused(f, b, tracker) or seen
         answers.append(replace(seen, seconds=f.seconds + b.seconds))
     for start, stop in _stretches([a.state == TRACKING for a in answers]):
         here = slice(start, stop)
@@ -123,22 +115,6 @@ def join(
     return answers
 
 
-def _fused(f: Tracked, b: Tracked, tracker: Tracker) -> Tracked | None:
-    """Two beliefs of one place, neither of them narrow enough alone: together, where that is; None where it is not.
-
-    The product of both ways' distributions (two-filter smoother, Fraser and Potter, IEEE TAC 14:387, 1969).
-    """
-    s = tracker.settings
-    if f.T_kidney_camera is None or b.T_kidney_camera is None or min(f.right, b.right) < s.place.sure:
-        return None
-    near_mm, near_deg = s.filter.same_place_mm, s.filter.same_place_deg
-    if not are_near(f.T_kidney_camera[None], b.T_kidney_camera, near_mm, near_deg)[0]:
-        return None
-    sd = float((f.position_sd_mm**-2 + b.position_sd_mm**-2) ** -0.5)
-    nearer = f if f.position_sd_mm <= b.position_sd_mm else b
-    return replace(nearer, state=TRACKING, position_sd_mm=sd) if sd * REGION_90 <= s.place.largest_mm else None
-
-
 def _smoothed(
     answers: Sequence[Tracked],
     ways: Sequence[tuple[Tracked, Tracked]],
@@ -151,7 +127,7 @@ def _smoothed(
     calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen).tolist()
     result = []
     for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
-        believed = [a for a in both if a.state == TRACKING] or [a for a in both if a.T_kidney_camera is not None]
+        believed = [a for a in both if a.state == TRACKING]
         agree = [a.confidence if a.calyx == calyx else 1 - a.confidence for a in believed]
         moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)))
         result.append(moved if m is None else replace(moved, score=m.score, T_aligned=m.T_kidney_camera))

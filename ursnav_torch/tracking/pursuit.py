@@ -12,7 +12,6 @@ from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.search.pose_mean import are_near
-from ursnav_torch.tracking.belief import PoseBelief, moved
 from ursnav_torch.tracking.filter import place
 from ursnav_torch.tracking.motion import Hypotheses
 from ursnav_torch.tracking.sensor import SensorReading
@@ -30,7 +29,6 @@ class Weighed:
         found: the hypotheses, and ``fits`` (M,) how well each of them fits.
         prior: what motion says of poses, in units of the alignment's score.
         sensor: the EM reading, if there is one.
-        belief: where motion leads, None where nobody knows.
     """
 
     features: Features
@@ -38,7 +36,6 @@ class Weighed:
     fits: Array
     prior: Prior
     sensor: SensorReading | None
-    belief: PoseBelief | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +78,6 @@ class Pursuit:
         self._challenger: _Lead | None = None
         self._good: Array | None = None  # last pose that was not badly aligned
         self._evidence, self._deeper = 0.0, 1.0
-        self._usual = 0.0  # what alignments scored of late
-        self._rng = np.random.default_rng(0)  # the same pictures give the same track
 
     @property
     def trusted(self) -> float:
@@ -105,9 +100,9 @@ class Pursuit:
             self._challenger, self._evidence = None, 0.0
         else:
             agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
-            around = self._around(self._incumbent, T, picture)[: self.starts]
-            here = self._sampled(picture, self._aligned(picture, around, picture.prior))
-            self._incumbent = _Lead(here, self._incumbent.refined)
+            around = self._around(self._incumbent, T, picture.found)[: self.starts]
+            self._incumbent = _Lead(self._aligned(picture, around, picture.prior), self._incumbent.refined)
+            here = self._incumbent.refined
             elsewhere: list[Array] = []
             if not agrees and not self._near(T, here.T_kidney_camera):
                 elsewhere = [T]
@@ -115,24 +110,10 @@ class Pursuit:
                 elsewhere = self._apart([here.T_kidney_camera], picture.found, picture.fits, 2)[1:]
             self._incumbent = self._better(picture, self._incumbent, elsewhere)
         refined = self._incumbent.refined
-        self._usual = s.usual_memory * self._usual + (1 - s.usual_memory) * max(refined.score, 0.0)
         self._light.learn(refined.light, refined.score)
         if refined.score >= s.reacquire_below:
             self._good = refined.T_kidney_camera
         return refined
-
-    def _sampled(self, picture: Weighed, found: Refined) -> Refined:
-        """The best of an alignment and of others from poses drawn from the belief, if it scores less than of late.
-
-        Near a wall, and in fast turns, an alignment reaches only poses very close to where it began.
-        """
-        s, belief = self._settings, picture.belief
-        if belief is None or not s.particles or found.score >= self._usual - s.usual_drop:
-            return found
-        drawn = [found.T_kidney_camera, *belief.drawn(s.particles - 1, self._rng, s.particle_mm, s.particle_deg)]
-        other = self._aligned(picture, drawn, picture.prior)
-        worth = [r.score + float(picture.prior(r.T_kidney_camera[None])[0]) for r in (found, other)]
-        return other if worth[1] > worth[0] else found
 
     def _better(self, picture: Weighed, own: _Lead, elsewhere: list[Array]) -> _Lead:
         """The incumbent, or the challenger once that has been the better one; other places may become challengers."""
@@ -159,18 +140,12 @@ class Pursuit:
         return own
 
     def _anywhere(self, picture: Weighed, T: Array) -> list[Array]:
-        """What is known of the track, the hypotheses that fit best, and some drawn at random around the others.
-
-        The draws differ from picture to picture, so that a scope that stands where no view does is found all the same.
-        """
-        s, found = self._settings, picture.found
+        """What is known of the track, and the hypotheses that fit best or are most probable."""
         known = [] if self._incumbent is None else [self._incumbent.refined.T_kidney_camera]
         known += [] if self._good is None else [self._good]
-        fitting = self._apart([*known, T], found, picture.fits, s.starts)
-        chance = np.exp((picture.fits - picture.fits.max()) / s.draw_scale)
-        rows = self._rng.choice(len(chance), s.starts + 3 - len(fitting), p=chance / chance.sum())
-        steps = self._rng.normal(0, 1, (len(rows), 6)) * np.repeat([s.draw_mm, np.radians(s.draw_deg)], 3)
-        return [*fitting, *(moved(found.T_kidney_camera[row], step) for row, step in zip(rows, steps, strict=True))]
+        known += [] if self._challenger is None else [self._challenger.refined.T_kidney_camera]
+        fitting = self._apart([*known, T], picture.found, picture.fits, self._settings.starts)
+        return self._apart(fitting, picture.found, picture.found.weight, self._settings.starts + 3)
 
     def _apart(self, tried: list[Array], found: Hypotheses, worth: Array, count: int) -> list[Array]:
         """The poses given and the hypotheses of most worth (M,) that lie apart from them and each other, ``count``."""
@@ -180,13 +155,13 @@ class Pursuit:
                 tried.append(pose)
         return tried
 
-    def _around(self, own: _Lead, T: Array, picture: Weighed) -> list[Array]:
+    def _around(self, own: _Lead, T: Array, found: Hypotheses) -> list[Array]:
         """Where the track may go on: ahead, a step deeper or less deep in turn, and places among the hypotheses nearby.
 
         Depth is what alignment tells least, and where it slips.
         """
-        s, near_mm, found = self._settings, self._same.same_place_mm, picture.found
-        ahead = own.ahead() if picture.belief is None else [picture.belief.T_kidney_camera, *own.ahead()[:1]]
+        s, near_mm = self._settings, self._same.same_place_mm
+        ahead = own.ahead()
         self._deeper = -self._deeper
         slid = ahead[-1].copy()
         slid[:3, 3] += self._deeper * s.depth_step_mm * slid[:3, 2]

@@ -4,9 +4,7 @@ from dataclasses import dataclass, field
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
-from ursnav_torch.tracking.belief import BeliefSettings
 from ursnav_torch.tracking.motion import MotionSettings
-from ursnav_torch.tracking.odometry import OdometrySettings
 from ursnav_torch.tracking.smooth import SmoothSettings
 
 
@@ -54,13 +52,6 @@ class ChallengerSettings:
             up to ``score_step``.
         max_step: a single picture counts for no more steps than this.
         takeover_evidence: so many steps, and the challenger becomes the incumbent.
-        particles: poses drawn from the belief and aligned, too, where the incumbent is aligned worse than of late.
-        particle_mm, particle_deg: they are spread by this beyond the belief: a motion that was foreseen wrongly is
-            not known to have been.
-        usual_drop: worse by this.
-        usual_memory: share of what alignments scored of late that a picture leaves.
-        draw_scale, draw_mm, draw_deg: where the track is looked for anew, poses are drawn around hypotheses, too; one
-            that fits better by this is e times as probable, and they are spread by so much.
     """
 
     starts: int = 5
@@ -71,14 +62,6 @@ class ChallengerSettings:
     prior_weight: float = 0.01
     max_step: float = 2.0
     takeover_evidence: float = 3.0
-    particles: int = 8
-    particle_mm: float = 0.4
-    particle_deg: float = 3.0
-    usual_drop: float = 0.1
-    usual_memory: float = 0.9
-    draw_scale: float = 0.3
-    draw_mm: float = 1.5
-    draw_deg: float = 10.0
 
     def __post_init__(self) -> None:
         if self.starts < 1 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
@@ -107,11 +90,11 @@ class OwnKidneySettings:
 
     weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
     sensor_gate_sd: float = 3.0
-    max_llr_for: float = 1.5
-    max_llr_against: float = 0.1
-    accept_above: float = 2.5
-    reject_below: float = -5.0
-    max_sum: float = 5.0
+    max_llr_for: float = 2.0
+    max_llr_against: float = 1.0
+    accept_above: float = 3.0
+    reject_below: float = -4.0
+    max_sum: float = 20.0
     min_sum: float = -6.0
     frame_s: float = 0.1
 
@@ -128,45 +111,6 @@ class OwnKidneySettings:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """The test of the place.
-
-    Attributes:
-        weights: constant, and weights of an `Evidence`'s score, lead and fit, in the log-likelihood ratio of a right
-            place against a wrong one; they and the times are the most likely ones over the tracks of the choosing
-            flights (`benchmarks.place_weights`).
-        max_llr: the most that a single picture says either way.
-        frame_s: time between pictures that these are stated for; pictures closer together err together.
-        slip_s, found_s: mean time until a right place is lost, and a wrong one found, without anybody noticing.
-        first: log-odds of a place nobody has vouched for.
-        coasting_llr: the most that a badly aligned picture says against a place that it was aligned far from.
-        strayed: of a doubtful place, the probability that it may be anywhere in the lumen, not only where views fit.
-        sure: probability of the right place from which on it is believed.
-        anew_below: below it the track is looked for among all hypotheses.
-        largest_mm: the 90 % region of a place is no larger than this.
-    """
-
-    weights: tuple[float, float, float, float] = (-7.3, 12.7, -0.5, 0.35)
-    max_llr: float = 5.0
-    frame_s: float = 0.1
-    slip_s: float = 100.0
-    found_s: float = 30.0
-    first: float = -0.7
-    coasting_llr: float = -1.0
-    strayed: float = 0.7
-    sure: float = 0.9
-    anew_below: float = 0.3
-    largest_mm: float = 3.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        if len(self.weights) != 4 or min(self.max_llr, self.frame_s, self.slip_s, self.found_s) <= 0:
-            raise InputError(f"The test of the place needs 4 weights, and times and max_llr above 0, got {self}.")
-        if not 0 < self.anew_below < self.sure < 1:
-            raise InputError(f"Expected 0 < anew_below < sure < 1, got {self.anew_below} and {self.sure}.")
-
-
-@dataclass(frozen=True, slots=True)
 class TrackSettings:
     """How a scope is followed, see each part."""
 
@@ -175,6 +119,3 @@ class TrackSettings:
     own_kidney: OwnKidneySettings = field(default_factory=OwnKidneySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     smoothing: SmoothSettings = field(default_factory=SmoothSettings)
-    belief: BeliefSettings = field(default_factory=BeliefSettings)
-    place: PlaceSettings = field(default_factory=PlaceSettings)
-    odometry: OdometrySettings = field(default_factory=OdometrySettings)
