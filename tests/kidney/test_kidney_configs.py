@@ -16,7 +16,12 @@ def test_knobs_and_defaults_are_those_of_the_function(name: str) -> None:
     function = inspect.signature(get_method(config._target_))
     for key in set(config) - {"_target_"}:
         default = function.parameters[str(key)].default
-        assert OmegaConf.is_missing(config, key) if default is inspect.Parameter.empty else config[key] == default
+        if default is inspect.Parameter.empty:
+            assert OmegaConf.is_missing(config, key)
+        elif OmegaConf.is_dict(config[key]):  # a group whose own defaults stand for nothing given
+            assert default is None and instantiate(config[key]) == get_method(config[key]._target_)()
+        else:
+            assert config[key] == default
 
 
 def test_a_phantom_comes_from_its_config(phantom: Kidney) -> None:

@@ -109,6 +109,11 @@ class _Problem:
         return replace(self, clock=self.clock[rows], position=self.position[rows], axis=self.axis[rows], quaternion=q)
 
 
+#: Directions of so much less information than the best (in columns of one length) are none, and a parameter that has
+#: more than this share of them is free: rounding stays far below the one, and a motion that tells far above the other.
+_SINGULAR, _FREE_SHARE = 1e-10, 1e-3
+
+
 def calibrate_tip(T_kidney_camera: Array, t_s: Array, samples: EmSamples) -> TipCalibration:
     """The sensor's place on the camera and the clocks' offset, from a localized recording and its EM log.
 
@@ -232,7 +237,20 @@ def _deviations(fit: Any, problem: _Problem) -> Array:
     count = len(np.unique(block))
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(count - J.shape[1] / 3, 1.0)
     classical = inverse * float(np.mean(r**2))
-    return np.sqrt(np.maximum(np.maximum(np.diag(sandwich), np.diag(classical)), 0))
+    sd = np.sqrt(np.maximum(np.maximum(np.diag(sandwich), np.diag(classical)), 0))
+    return np.where(_undetermined(J), np.inf, sd)
+
+
+def _undetermined(J: Array) -> NDArray[np.bool_]:
+    """Which parameters (13,) the readings leave free: those in the null space of J (6 M, 13), by columns of one length.
+
+    The axis's own length is free by design; the pseudo-inverse would give what is free no spread at all.
+    """
+    length = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    values, vectors = np.linalg.eigh((J / length).T @ (J / length))
+    free = np.square(vectors[:, values < _SINGULAR * values[-1]]).sum(axis=1) > _FREE_SHARE
+    free[9:12] = False
+    return np.asarray(free, bool)
 
 
 def _result(x: Array, sd: Array, problem: _Problem, rms_mm: float) -> TipCalibration:
@@ -270,6 +288,8 @@ def _check(found: TipCalibration) -> None:
         )
         if uncertain
     ]
+    if np.linalg.norm(found.offset_mm) > _FARTHEST_MM and not unknown:
+        unknown = [f"the sensor's place (found {np.linalg.norm(found.offset_mm):.0f} mm from the camera)"]
     if unknown:
         raise RegistrationError(
             f"The motion does not determine {' and '.join(unknown)}: record the scope moving in and out while it bends "
