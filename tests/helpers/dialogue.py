@@ -10,13 +10,17 @@ Step = tuple[bytes, bytes]
 
 
 class Dialogue:
-    """A board that expects exactly these bytes, in this order, and gives these answers."""
+    """A board that expects exactly these bytes, in this order, and gives these answers.
+
+    ``again``, where set, may come any number of times before the next step: what a watchdog repeats while time passes.
+    """
 
     def __init__(self, steps: list[Step]) -> None:
         self.steps = list(steps)
         self.received = bytearray()
         self.all_received = bytearray()
         self.surprise = b""
+        self.again = b""
 
     def handle(self, data: bytes) -> bytes:
         self.received += data
@@ -29,6 +33,8 @@ class Dialogue:
                 del self.received[: len(expected)]
             elif self.steps and expected.startswith(self.received):
                 break
+            elif self.again and self.received.startswith(self.again):
+                del self.received[: len(self.again)]
             else:
                 self.surprise = bytes(self.received)
         return answer
