@@ -56,7 +56,7 @@ def runner(config_name: str, paths: Sequence[str] = ()) -> Callable[[Callable[[A
         def main() -> None:
             if {"-h", "--help"} & set(sys.argv[1:]):
                 print(help_text(Path(config_dir()) / f"{config_name}.yaml"))
-                return
+                sys.exit(OK)
             sys.argv[1:] = [quote_path(argument, {*_COMMON_PATHS, *paths}) for argument in sys.argv[1:]]
             started = False
 

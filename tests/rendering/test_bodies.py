@@ -63,7 +63,7 @@ def test_a_stone_throws_a_shadow_on_the_side_away_from_the_lamp(ball: RaycastRen
     ratio = drawn(ball, np.eye(4), faults, stone).image.astype(float) / np.maximum(
         drawn(ball, np.eye(4), faults, clear).image.astype(float), 1
     )
-    left, right = ratio[60, 30:44].mean(), ratio[60, 76:90].mean()
+    left, right = ratio[60, 45:50].mean(), ratio[60, 70:75].mean()
     assert left < 0.75 * right
 
 

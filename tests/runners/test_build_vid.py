@@ -20,7 +20,16 @@ SMALL = (
     "kidney=phantom", "kidney.calyces=6", "camera.width=64", "camera.height=64", "views.views_per_calyx=15",
     "views.passage_views=20", "calibrate=false",
 )  # fmt: skip
-FILES = ["calyces.csv", "centerline.csv", "features.safetensors", "images", "kidney.stl", "vid.json", "views.csv"]
+FILES = [
+    "calyces.csv",
+    "centerline.csv",
+    "features.safetensors",
+    "images",
+    "kidney.stl",
+    "lumen.safetensors",
+    "vid.json",
+    "views.csv",
+]
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -175,10 +184,10 @@ BAD = {
     "mesh cut": (cut(STL), STL),
     "mesh is text": (text(STL, "hello"), STL),
     "mesh in meters": (in_meters, "kidney.scale"),
-    "no calyces": (lambda f: (f / TIPS).unlink(), "There is no file"),
-    "calyces empty": (text(TIPS, ""), "lacks the columns"),
+    "no calyces": (lambda f: (f / TIPS).unlink(), "There is no calyces file"),
+    "calyces empty": (text(TIPS, ""), "has no rows"),
     "calyx outside": (text(TIPS, "calyx,x_mm,y_mm,z_mm\nA,900,0,0\n"), "outside the lumen"),
-    "calyx no number": (text(TIPS, "calyx,x_mm,y_mm,z_mm\nA,a,0,0\n"), "not a number"),
+    "calyx no number": (text(TIPS, "calyx,x_mm,y_mm,z_mm\nA,a,0,0\n"), "expected a finite number"),
     "no lens": (lambda f: (f / LENS).unlink(), "There is no camera file"),
     "lens cut": (cut(LENS), "not readable JSON"),
 }

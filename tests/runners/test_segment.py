@@ -62,7 +62,7 @@ def test_the_folder_holds_all_that_is_needed(run: Any, ct: Path, patient: Patien
         (("kidney.side=left",), 1, "No contrast-filled collecting system was found on the left side"),
         (("kidney.label=2",), 1, "is a CT and no label map"),
         (("landmarks=none.mrk.json",), 1, "There is no markups file"),
-        (("kidney.calyces=none.csv",), 1, "There is no file"),
+        (("kidney.calyces=none.csv",), 1, "There is no calyces file"),
         (("kidney=phantom",), 1, "kidney=ct"),
         (("kidney=mesh", "kidney.path=a.stl"), 1, "kidney=ct"),
         (("kidney.no_such=1",), 2, "no_such"),
