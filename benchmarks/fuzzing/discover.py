@@ -32,6 +32,8 @@ _LEFT_OUT = {
     "segmentation.scans.read.read_scan_here": "runs in a process apart, see segmentation.scans.apart.read_scan",
     "reports.matches.MatchReport": "writes",
     "runs.journal.Journal": "reads only what the same run wrote, see tests/runs/test_matched_resume.py",
+    "devices.robots.guardian.Guardian": "hears only the program that started it, over a pipe of its own",
+    "devices.robots.guardian.Guardian.feed": "hears only the program that started it, over a pipe of its own",
     "vid.lumen_file.load_lumen": "needs the kidney that it belongs to; load_vid has verified its bytes before",
 }
 _WRITERS = ("pack", "write", "save", "send", "handle", "inline")

@@ -105,7 +105,7 @@ def test_reference_pairs_give_the_thesis_threshold(run: Callable[..., Any], case
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("em_to_kidney=nothing.json", "Cannot read the registration"),
+        ("em_to_kidney=nothing.json", "There is no registration file"),
         ("em=nothing.csv", "There is no EM file"),
         ("least_p=0.9", "least_p=0.9"),
     ],
