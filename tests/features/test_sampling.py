@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ursnav_torch.errors import InputError, ShapeError
+from ursnav_torch.features import DefaultSettings
 from ursnav_torch.features.sampling import bending, chain, sample
 
 METHODS = ["uniform", "farthest", "curvature"]
@@ -101,3 +102,8 @@ def test_refuses_what_it_cannot_use() -> None:
         sample(SQUARE, 3, "random")
     with pytest.raises(InputError, match=">= 0"):
         sample(SQUARE, 3, weights=np.full(len(SQUARE), -1.0))
+
+
+def test_an_unknown_sampling_is_refused_with_the_settings_not_at_the_first_picture() -> None:
+    with pytest.raises(InputError, match="arc_length"):
+        DefaultSettings(sampling="arc_length")
