@@ -25,10 +25,5 @@ def scaled(settings: Settings, scale: float) -> Settings:
         if is_dataclass(value) and not isinstance(value, type):
             changed[field.name] = scaled(value, scale)
         elif field.name.endswith(LENGTH_ENDINGS) and value is not None:
-            changed[field.name] = _times(value, scale)
+            changed[field.name] = value * scale
     return replace(settings, **changed)
-
-
-def _times(value: Any, scale: float) -> Any:
-    """A length, or several (a file gives them as a list), times the scale."""
-    return tuple(v * scale for v in value) if isinstance(value, (tuple, list)) else value * scale

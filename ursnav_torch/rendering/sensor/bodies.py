@@ -89,8 +89,8 @@ def place_stones(surface: Surface, T_kidney_camera: Array, faults: BodyFaults, r
     """Stones that lie on the wall in sight of a camera at ``T_kidney_camera`` (4, 4)."""
     found: list[Stone] = []
     for _ in range(faults.stones):
-        radii = faults.stone_mm * rng.uniform(0.35, 1.0) * np.array([1.0, rng.uniform(0.8, 1.1), faults.stone_long])
-        radii[2] = radii[0] * rng.uniform(1.0, max(faults.stone_long, 1.0))
+        shape = np.array([1.0, rng.uniform(0.8, 1.1), rng.uniform(1.0, max(faults.stone_long, 1.0))])
+        radii = faults.stone_mm * rng.uniform(0.35, 1.0) * shape
         for _ in range(_TRIES):
             at = rng.integers(len(surface.pixels))
             if surface.distance_mm[at] > (2 + _ROOM) * radii.max():
