@@ -16,8 +16,10 @@ export PYOPENGL_PLATFORM ?= egl
 demo: setup
 	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
 
+# Two processes, a file of tests to each in turn: WORKERS=0 runs them in one, to look into a failure.
+WORKERS ?= 2
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 # A site in ursnav_site/; every warning is an error.
 docs: setup-dev

@@ -1,7 +1,10 @@
 """A minute of the fuzzer with a fixed seed, and what it once found, in small."""
 
 import random
+import subprocess
+import sys
 
+import numpy as np
 import pytest
 
 from benchmarks import fuzz
@@ -22,6 +25,17 @@ def test_inputs_are_made_from_their_numbers_alone() -> None:
     made = [mutate(good, [good], random.Random(number)) for number in range(200)]
     assert made == [mutate(good, [good], random.Random(number)) for number in range(200)]
     assert len(set(made)) > 150 and good not in made[:1]
+
+
+def test_memory_of_whoever_started_the_fuzzer_is_not_counted() -> None:
+    held = np.ones(800 << 20, np.uint8)  # touched, so it is really there
+    said = subprocess.run(
+        [sys.executable, "-c", "from benchmarks.fuzzing.feed import peak_mb; print(peak_mb())"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert 10 < float(said.stdout) < held.nbytes >> 20
 
 
 @pytest.mark.slow
