@@ -12,7 +12,7 @@ from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
 from ursnav_torch.geometry import inverse, rotation_angle, transform_from
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering import RaycastRenderer, RayScene
 from ursnav_torch.vid import Vid
 
 VIEWS = (3, 10, 20, 30, 44, 50, 57, 65)
@@ -20,7 +20,7 @@ VIEWS = (3, 10, 20, 30, 44, 50, 57, 65)
 
 @pytest.fixture(scope="module")
 def aligner(phantom: Kidney) -> Aligner:
-    return Aligner(phantom.mesh, AlignGrid(equidistant_camera(160.0, 250, 250), 62, DefaultSettings()))
+    return Aligner(RayScene(phantom.mesh), AlignGrid(equidistant_camera(160.0, 250, 250), 62, DefaultSettings()))
 
 
 @pytest.fixture(scope="module")

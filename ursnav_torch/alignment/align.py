@@ -8,7 +8,6 @@ derivatives), Tukey's weights, and the light found along with the pose.
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -89,13 +88,13 @@ class Aligner:
     """Aligns drawings of one kidney with pictures through one lens.
 
     Args:
-        mesh: the lumen, kidney frame, mm.
+        scene: the lumen, kidney frame, mm; grids of several sizes may share it.
         grid: the small picture.
         unit_mm: length of 1 mm of anatomy: the kidney's scale.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh, grid: AlignGrid, unit_mm: float = 1.0) -> None:
-        self.grid, self._scene = grid, RayScene(mesh)
+    def __init__(self, scene: RayScene, grid: AlignGrid, unit_mm: float = 1.0) -> None:
+        self.grid, self._scene = grid, scene
         self._longest_step = 1.5 * unit_mm
         rays, self._inside = grid.camera.pixel_rays()
         self._rays = rays[self._inside].astype(np.float32)

@@ -13,6 +13,7 @@ from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
+from ursnav_torch.rendering import RayScene
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -93,8 +94,9 @@ class Refiner:
         self.settings = settings or RefinementSettings()
         self._lumen = vid.lumen
         self._clearance = self.settings.clearance_mm * vid.kidney.scale
+        scene = RayScene(vid.kidney.mesh)
         self._aligners = [
-            Aligner(vid.kidney.mesh, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)
+            Aligner(scene, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)
             for size in (self.settings.coarse_px, self.settings.fine_px)
         ]
 

@@ -14,6 +14,8 @@ from torch import Tensor
 
 #: Frequencies around the axis that are kept; the maps hold nothing finer than 360 / 24 = 15 degrees of detail.
 FREQUENCIES = 24
+#: Views transformed at a time, so that what is cut off again never leaves the second-level cache.
+_VIEWS_AT_A_TIME = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +47,11 @@ class RollScan:
         self._sectors = maps.shape[-1]
         self._weight = weight
         self._kept = min(FREQUENCIES, self._sectors // 2)
-        spectrum = torch.fft.rfft(maps.float())[..., : self._kept].flatten(1, 2).permute(2, 0, 1)
-        self._spectrum = torch.view_as_real(spectrum.contiguous()).flatten(2)
+        views, channels, rings, _ = maps.shape
+        spectrum = torch.empty(self._kept, views, channels * rings, dtype=torch.complex64)
+        for some, out in zip(maps.split(_VIEWS_AT_A_TIME), spectrum.split(_VIEWS_AT_A_TIME, 1), strict=True):
+            out.copy_(torch.fft.rfft(some.float())[..., : self._kept].flatten(1, 2).permute(2, 0, 1))
+        self._spectrum = torch.view_as_real(spectrum).flatten(2)
 
     def __len__(self) -> int:
         return self._spectrum.shape[1]
