@@ -71,7 +71,6 @@ class Record:
         state: (N,) names.
         T: (N, 4, 4) nan where there is none.
         calyx, true_calyx: (N,) indices, -1 for none.
-        position_sd_mm, direction_sd_deg: (N,) nan where not told.
         off_mm, turned_deg: (N,) errors, nan without a pose.
         extra: (N, K) diagnostics: fit, score, confidence.
     """
@@ -81,8 +80,6 @@ class Record:
     T: Array
     calyx: NDArray[np.int64]
     true_calyx: NDArray[np.int64]
-    position_sd_mm: Array
-    direction_sd_deg: Array
     extra: Array
 
     @property
@@ -130,8 +127,6 @@ def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
         "state": np.array([a.state for a in answers]),
         "T": np.array([nowhere if a.T_kidney_camera is None else a.T_kidney_camera for a in answers]),
         "calyx": np.array([a.calyx for a in answers]),
-        "position_sd_mm": np.array([getattr(a, "position_sd_mm", np.nan) for a in answers]),
-        "direction_sd_deg": np.array([getattr(a, "direction_sd_deg", np.nan) for a in answers]),
         "extra": np.array([[a.fit, a.score, a.confidence] for a in answers]),
     }
 

@@ -12,16 +12,12 @@ from ursnav_torch.tracking.tracker import LOST, TRACKING
 Array = NDArray[np.float64]
 #: A track this far off is wrong; a loss is over when it is nearer again.
 FAR_MM = 3.0
-#: A standard deviation per axis times this holds 90 % of a normal distribution in space.
-CHI3_90 = 2.5003
 
 
 def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
     """One group of rows over all pictures of some tracks."""
     on = np.concatenate([r.state == TRACKING for r in records])
     off = np.concatenate([r.off_mm for r in records])
-    sd = np.concatenate([r.position_sd_mm for r in records])
-    fog = np.concatenate([r.flown.fogged for r in records])
     n, known = len(on), on & np.isfinite(off)
     report.add(group, "a place (tracking)", "%", [100 * on.mean()], n=n)
     report.add(
@@ -40,11 +36,6 @@ def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
         report.add(group, "longest loss", "s", [max(found)], n=len(found))
     ended = sum(r.state[-1] == LOST for r in records)
     report.add(group, "flights that end lost", f"of {len(records)}", [float(ended)], n=len(records))
-    told = np.isfinite(sd) & np.isfinite(off)
-    for name, of in (("", told), (", foggiest quarter", told & (fog >= np.quantile(fog, 0.75)) & (fog > 0))):
-        if of.any():
-            inside = off[of] <= CHI3_90 * sd[of]
-            report.add(group, f"truth in the 90 % region{name}", "%", [100 * float(inside.mean())], n=int(of.sum()))
 
 
 def add_refusals(report: Report, group: str, records: Sequence[Record]) -> None:

@@ -48,7 +48,7 @@ def page(vid, renderer, phantom_lumen):
             yield
 
     navigator = Navigator(Tracker(vid))
-    job = partial(run_navigation, navigator, hardware, lambda: World(vid.kidney, renderer), page=page_of)
+    job = partial(run_navigation, navigator, hardware, lambda: World(vid.kidney, renderer, vid.lumen), page=page_of)
     session = threading.Thread(target=job)
     session.start()
     assert ready.wait(PATIENCE_S)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.devices import Frame, Stamp
+from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.session import Recorder, Replay
 
 
@@ -35,7 +36,11 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
     assert again.code == 1 and "exists already" in again.err
 
 
-def test_a_simulated_session_ends_after_its_time(run, vid):
+def test_a_simulated_session_ends_after_its_time_and_finds_no_distances_again(run, vid, monkeypatch):
+    def again(*given):
+        raise AssertionError("the VID holds the distances along its lumen")
+
+    monkeypatch.setattr(LumenDistance, "from_kidney", again)
     done = run("navigate", f"vid={vid.folder}", "hardware=simulated", "hardware/tracker=none", "viewer=none",
                "hardware.twin.sensor=null", "seconds=3")  # fmt: skip
     assert done.code == 0, done.err

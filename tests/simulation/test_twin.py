@@ -192,7 +192,7 @@ def test_dropouts_come_as_often_as_asked():
 def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(
     monkeypatch, phantom, phantom_lumen, renderer
 ):
-    twin = make_twin(World(phantom, renderer), lumen=phantom_lumen)
+    twin = make_twin(World(phantom, renderer, phantom_lumen))
     motors, limits, joints = Motors(twin), Limits(), Joints()
     clock = [0.0]
     monkeypatch.setattr("ursnav_torch.devices.base.time.monotonic", lambda: clock[0])

@@ -17,7 +17,7 @@ SETTINGS = ProtocolSettings()
 
 @pytest.fixture(scope="module")
 def drive(phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer) -> RobotDrive:
-    return drive_robot(make_twin(World(phantom, renderer), lumen=phantom_lumen), phantom, SETTINGS)
+    return drive_robot(make_twin(World(phantom, renderer, phantom_lumen)), phantom, SETTINGS)
 
 
 def test_reaches_the_calyces_inside_the_lumen_and_within_its_speed(
@@ -34,7 +34,7 @@ def test_reaches_the_calyces_inside_the_lumen_and_within_its_speed(
 def test_the_same_drive_twice(
     drive: RobotDrive, phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer
 ) -> None:
-    again = drive_robot(make_twin(World(phantom, renderer), lumen=phantom_lumen), phantom, SETTINGS)
+    again = drive_robot(make_twin(World(phantom, renderer, phantom_lumen)), phantom, SETTINGS)
     np.testing.assert_array_equal(again.T_kidney_camera, drive.T_kidney_camera)
 
 

@@ -40,7 +40,7 @@ def test_only_the_roll_changes(phantom: Kidney, phantom_lumen: LumenDistance) ->
 
 def test_the_roll_is_the_twins_own(phantom: Kidney, phantom_lumen: LumenDistance, renderer: RaycastRenderer) -> None:
     """The twin bends its shaft step by step; the short cut comes to about the same roll."""
-    twin = make_twin(World(phantom, renderer), Scope(), lumen=phantom_lumen)
+    twin = make_twin(World(phantom, renderer, phantom_lumen), Scope())
     drive = drive_robot(twin, phantom, ProtocolSettings())
     T = drive.T_kidney_camera
     held = as_scope_holds(T, start(phantom))

@@ -57,7 +57,7 @@ def navigate_vid(
     navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s))
 
     def world() -> World:
-        return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera))
+        return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera), vid.lumen)
 
     summary = run_navigation(navigator, hardware, world, recorder, duration_s, page).text()
     if out is None:

@@ -30,7 +30,6 @@ def make_twin(
     em: EmField | None = None,
     sensor: str | None = None,
     seed: int = 0,
-    lumen: LumenDistance | None = None,
 ) -> Twin:
     """A scope that lies withdrawn in a kidney's pelvis and looks to the middle of its calyces.
 
@@ -41,14 +40,13 @@ def make_twin(
         sensor: preset of what spoils its pictures (``thesis_simulation``, ``thesis_phantom``, ``in_vivo_like``); None
             for clean ones, gray.
         seed: of the faults.
-        lumen: the kidney's distances where they are known already.
 
     Raises:
         InputError: an unknown preset, or the root of the centerline lies in a wall.
     """
     start = world.kidney.centerline.points_mm[0]
     T_kidney_start = look_along(start, world.kidney.tips_mm.mean(axis=0) - start)
-    clearance_mm = (lumen or LumenDistance.from_kidney(world.kidney)).clearance_mm
+    clearance_mm = (world.lumen or LumenDistance.from_kidney(world.kidney)).clearance_mm
     return Twin(clearance_mm, _picture(world.renderer, sensor, seed), T_kidney_start, scope, em)
 
 

@@ -98,7 +98,7 @@ def perform(
     """
     lumen, em = LumenDistance.from_kidney(kidney), replace(settings.em)
     renderer = pipeline.make_renderer(kidney.mesh, pipeline.camera)
-    twin = make_twin(World(kidney, renderer), settings.scope, em, lumen=lumen)
+    twin = make_twin(World(kidney, renderer, lumen), settings.scope, em)
     T_start = twin.pose()
     vid = _prepared_vid(kidney, lumen, pipeline, settings, T_start, work, progress)
     rng = np.random.default_rng(settings.seed)
