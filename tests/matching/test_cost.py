@@ -8,6 +8,7 @@ from matching_shapes import blob, tangents
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import PairCost, ShapeContext, pack
 from ursnav_torch.matching.cost import ABSENT
+from ursnav_torch.matching.point_sets import ViewPoints
 from ursnav_torch.matching.prepared import PreparedViews
 
 SETTINGS = ShapeContext(scale=60.0)
@@ -20,7 +21,7 @@ def costs(cost: PairCost, query: np.ndarray = QUERY, views: list[np.ndarray] = V
     along = torch.zeros(packed.mask.shape)
     for row, view in zip(along, views, strict=True):
         row[: len(view)] = torch.from_numpy(tangents(view))
-    prepared = PreparedViews(packed.points, packed.mask, along, None, SETTINGS, cost)
+    prepared = PreparedViews(ViewPoints(packed.points, packed.mask, along), SETTINGS, cost)
     asked = prepared.query(torch.from_numpy(query).float(), torch.from_numpy(tangents(query)).float(), None)
     return prepared.costs(asked, slice(0, len(views))).clone()
 

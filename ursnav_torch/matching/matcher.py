@@ -15,6 +15,7 @@ from ursnav_torch.matching.methods.base import Assignment, Correspondences, Meth
 from ursnav_torch.matching.methods.nearest import Nearest
 from ursnav_torch.matching.methods.opencv import OpenCV
 from ursnav_torch.matching.paired import PairedViews
+from ursnav_torch.matching.point_sets import ViewPoints
 from ursnav_torch.matching.prepared import PreparedQuery, PreparedViews, compress, turn
 from ursnav_torch.threads import map_chunks, one_thread_an_operation
 
@@ -88,10 +89,10 @@ class Matcher:
         self._shares = mask / mask.sum(1, keepdim=True).clamp_min(1)
         self._roll_center = torch.tensor(roll_center_px, dtype=torch.float32)
         self._descriptor = fix_scale(settings.descriptor, self.points, mask)
-        self._direction, self._weights = direction, weights
+        self._views_points = ViewPoints(self.points, mask, direction, weights)
         if isinstance(settings.method, OpenCV):
             settings.method.extractor()
-        self.paired = PairedViews(self.points, mask, direction, weights, self._descriptor, settings.cost)
+        self.paired = PairedViews(self._views_points, self._descriptor, settings.cost)
         if (settings.cost.shares()[2] > 0 and direction is None) or settings.descriptor.frame == "tangent":
             _ = self.views  # so that what is missing is told at once
 
@@ -102,9 +103,7 @@ class Matcher:
     def views(self) -> PreparedViews:
         """All views described at once, when the first query is compared with all of them."""
         with torch.inference_mode(False):  # they outlive the mode they are asked for in
-            return PreparedViews(
-                self.points, self.mask, self._direction, self._weights, self._descriptor, self.settings.cost
-            )
+            return PreparedViews(self._views_points, self._descriptor, self.settings.cost)
 
     def distances(
         self,

@@ -6,29 +6,21 @@ from torch import Tensor
 from ursnav_torch.matching import cost as pair_cost
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe
+from ursnav_torch.matching.point_sets import ViewPoints
 
 
 class PairedViews:
     """Views of which few are asked for at a time: a search's finalists.
 
-    Preparing costs nothing; a view is described the first time it is a finalist. See `Matcher` for the arguments.
+    Preparing costs nothing; a view is described the first time it is a finalist.
 
     Memory: 4 V P (D + 3) bytes at most, taken up as views are described.
     """
 
-    def __init__(
-        self,
-        points: Tensor,
-        mask: Tensor,
-        direction: Tensor | None,
-        weights: Tensor | None,
-        descriptor: ShapeContext,
-        cost: PairCost,
-    ) -> None:
-        self.descriptor, self.cost = descriptor, cost
-        self._points, self._mask, self._direction, self._weights = points, mask, direction, weights
-        self._origin = points[mask].mean(0) if bool(mask.any()) else torch.zeros(2)
-        self._described = torch.zeros(len(points), dtype=torch.bool)
+    def __init__(self, views: ViewPoints, descriptor: ShapeContext, cost: PairCost) -> None:
+        self.descriptor, self.cost, self._views = descriptor, cost, views
+        self._origin = views.center()
+        self._described = torch.zeros(len(views.points), dtype=torch.bool)
         self._features: Tensor | None = None  # (V, F, P), rows filled as they are described
         self._histograms: Tensor | None = None  # (V, D, P), kept for exact chi2 alone
 
@@ -49,7 +41,7 @@ class PairedViews:
         cost = torch.bmm(pair_cost.query_features(histograms, direction, self.cost), self._features[views])
         _, share, _ = self.cost.shares()
         if share > 0:
-            there = pair_cost.position_features(self._points[views] - self._origin, self.cost).transpose(1, 2)
+            there = pair_cost.position_features(self._views.points[views] - self._origin, self.cost).transpose(1, 2)
             far = torch.bmm(pair_cost.position_query(points - self._origin, self.cost), there)
             cost.add_(far.clamp_(0.0, 1.0).sqrt_(), alpha=share)
         if self._histograms is not None:
@@ -61,15 +53,14 @@ class PairedViews:
         new = views[~self._described[views]].unique()
         if not len(new):
             return
-        along = None if self._direction is None else self._direction[new]
-        neighbors = None if self._weights is None else self._weights[new]
-        histograms = describe(self._points[new], self._mask[new], self.descriptor, along, neighbors)
-        features = pair_cost.view_features(histograms, along, self._mask[new], self.cost).transpose(1, 2)
+        some = self._views.at(new)
+        histograms = describe(some.points, some.mask, self.descriptor, some.direction, some.weights)
+        features = pair_cost.view_features(histograms, some.direction, some.mask, self.cost).transpose(1, 2)
         if self._features is None:
             with torch.inference_mode(False):  # they outlive the mode they are made in
-                self._features = torch.empty(len(self._points), *features.shape[1:])
+                self._features = torch.empty(len(self._described), *features.shape[1:])
                 if self.cost.compare == "chi2":
-                    self._histograms = torch.empty(len(self._points), histograms.shape[2], histograms.shape[1])
+                    self._histograms = torch.empty(len(self._described), histograms.shape[2], histograms.shape[1])
         self._features[new] = features
         if self._histograms is not None:
             self._histograms[new] = histograms.transpose(1, 2)

@@ -24,6 +24,34 @@ class PointSets:
     mask: Tensor
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPoints:
+    """Edge points of V views, padded to P places for points each.
+
+    Attributes:
+        points: (V, P, 2) float32 in px.
+        mask: (V, P) bool, true where there is a point.
+        direction: (V, P) edge direction in radians, x towards y, or None.
+        weights: (V, P) how much a point counts as a neighbor, >= 0; None for 1.
+    """
+
+    points: Tensor
+    mask: Tensor
+    direction: Tensor | None = None
+    weights: Tensor | None = None
+
+    def at(self, views: Tensor) -> "ViewPoints":
+        """Those of some views (K,), in that order."""
+        along = None if self.direction is None else self.direction[views]
+        return ViewPoints(
+            self.points[views], self.mask[views], along, None if self.weights is None else self.weights[views]
+        )
+
+    def center(self) -> Tensor:
+        """The mean (2,) of all points, zero where there are none."""
+        return self.points[self.mask].mean(0) if bool(self.mask.any()) else torch.zeros(2)
+
+
 def as_points(points: ArrayLike | Tensor, name: str = "points") -> Tensor:
     """One point set (N, 2) as a float32 tensor; an empty list is an empty set.
 

@@ -11,6 +11,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.matching import cost as pair_cost
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe
+from ursnav_torch.matching.point_sets import ViewPoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,23 +30,15 @@ class PreparedQuery:
 
 
 class PreparedViews:
-    """Shape contexts and features of V views with P places for points each; see `Matcher` for the arguments."""
+    """Shape contexts and features of V views with P places for points each."""
 
-    def __init__(
-        self,
-        points: Tensor,
-        mask: Tensor,
-        direction: Tensor | None,
-        weights: Tensor | None,
-        descriptor: ShapeContext,
-        cost: PairCost,
-    ) -> None:
-        histograms = describe(points, mask, descriptor, direction, weights)
-        self.descriptor, self.cost, self.mask = descriptor, cost, mask
-        self._features = _columns(pair_cost.view_features(histograms, direction, mask, cost))
+    def __init__(self, views: ViewPoints, descriptor: ShapeContext, cost: PairCost) -> None:
+        histograms = describe(views.points, views.mask, descriptor, views.direction, views.weights)
+        self.descriptor, self.cost, self.mask = descriptor, cost, views.mask
+        self._features = _columns(pair_cost.view_features(histograms, views.direction, views.mask, cost))
         self._histograms = _columns(histograms) if cost.compare == "chi2" else None
-        self._origin = points[mask].mean(0) if bool(mask.any()) else torch.zeros(2)
-        position = pair_cost.position_features(points - self._origin, cost)
+        self._origin = views.center()
+        position = pair_cost.position_features(views.points - self._origin, cost)
         self._position = _columns(position) if cost.position_weight > 0 else None
         self._shares = cost.shares()
         self._local = threading.local()
