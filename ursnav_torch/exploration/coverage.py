@@ -180,6 +180,8 @@ class Coverage:
             "share": round(float(area[seen & self.in_reach].sum()) / reachable, 4) if reachable else 0.0,
             "reachable": round(reachable / float(area.sum()), 4),
             "area_mm2": round(float(area.sum()), 1),
+            "patches": len(seen),
+            "seen_patches": np.flatnonzero(seen).tolist(),
             "settings": asdict(self.settings),
         }
 

@@ -37,8 +37,7 @@ def read_multiframe(sitk: ModuleType, path: Path, largest_voxels: int) -> Scan:
     if not is_whole(path):
         raise InputError(f"{path} ends before its data do: it is truncated. Copy or export it again.")
     groups = _frame_groups(tags, path)
-    position, direction, spacing = _geometry(groups, path)
-    order, step = _stack(position, direction[:, 2], path)
+    T, order = _grid(groups, path)
     try:
         image = sitk.ReadImage(str(path))
     except RuntimeError:
@@ -47,9 +46,25 @@ def read_multiframe(sitk: ModuleType, path: Path, largest_voxels: int) -> Scan:
     slope, intercept = _rescale(groups)
     own = _rescale(groups[:1])  # what the reader applied to all frames
     values = ((values - own[1][0]) / own[0][0] * slope[:, None, None] + intercept[:, None, None])[order]
-    T = transform_of_voxels((*spacing, step), direction, position[order[0]], path.name)
     whole = np.clip(np.rint(values), -32768, 32767).astype(np.int16)
     return Scan(whole.transpose(2, 1, 0), T, path.name)
+
+
+def multiframe_grid(tags: Any, path: Path) -> tuple[tuple[int, int, int], Array]:
+    """Voxels along x, y, z and ``T_lps_voxel`` (4, 4) of a multi-frame file, from its tags.
+
+    Raises:
+        InputError: it says no place, or its frames are no even stack.
+    """
+    T, _ = _grid(_frame_groups(tags, path), path)
+    return (int(tags.Columns), int(tags.Rows), int(tags.NumberOfFrames)), T
+
+
+def _grid(groups: list[dict[str, Any]], path: Path) -> tuple[Array, NDArray[np.int64]]:
+    """``T_lps_voxel`` (4, 4), and the frames' order along it."""
+    position, direction, spacing = _geometry(groups, path)
+    order, step = _stack(position, direction[:, 2], path)
+    return transform_of_voxels((*spacing, step), direction, position[order[0]], path.name), order
 
 
 def _frame_groups(tags: Any, path: Path) -> list[dict[str, Any]]:

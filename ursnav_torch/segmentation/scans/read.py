@@ -70,6 +70,16 @@ def read_scan_here(
     )
 
 
+def dicom_files(folder: Path, series: str | None = None) -> tuple[str, ...]:
+    """The files of the one DICOM series in a folder, from the first slice to the last, checked as `read_scan` does.
+
+    Raises:
+        InputError: see `series_files`.
+        MissingExtraError: SimpleITK is not installed.
+    """
+    return series_files(simple_itk(), folder, series, LARGEST_VOXELS)
+
+
 def simple_itk() -> ModuleType:
     """SimpleITK, without its warnings on standard error.
 
