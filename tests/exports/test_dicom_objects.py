@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.exports import (
-    Segment,
+    LabeledMask,
     calyx_markup,
     inspected_wall,
     mask_of_mesh,
@@ -81,7 +81,7 @@ def test_a_mesh_beside_the_scan_is_refused(ct: Ct, phantom: Kidney) -> None:
 
 def test_a_seg_is_read_by_others_at_its_place(ct: Ct, phantom: Kidney, tmp_path: Path) -> None:
     mask = mask_of_mesh(phantom.mesh, ct.study)
-    write_seg(tmp_path / "s.dcm", [Segment("Lumen", mask)], ct.study, "lumen")
+    write_seg(tmp_path / "s.dcm", [LabeledMask("Lumen", mask)], ct.study, "lumen")
     data = opened(tmp_path / "s.dcm", ct)
     assert data.Modality == "SEG" and data.FrameOfReferenceUID == ct.study.frame_of_reference
     # pydicom alone: a frame, its own place and its pixels, against the mask at those places.
@@ -102,11 +102,11 @@ def test_a_seg_is_read_by_others_at_its_place(ct: Ct, phantom: Kidney, tmp_path:
 
 
 def test_seg_to_stl_to_seg_keeps_the_surface_within_a_voxel(ct: Ct, phantom: Kidney, tmp_path: Path) -> None:
-    write_seg(tmp_path / "a.dcm", [Segment("Lumen", mask_of_mesh(phantom.mesh, ct.study))], ct.study, "lumen")
+    write_seg(tmp_path / "a.dcm", [LabeledMask("Lumen", mask_of_mesh(phantom.mesh, ct.study))], ct.study, "lumen")
     (scan,) = read_seg(tmp_path / "a.dcm")
     write_stl(tmp_path / "a.stl", lumen_surface(lumen_of_label(scan, label_counts(scan), 1, None), 60_000), "lps")
     mesh = trimesh.load_mesh(tmp_path / "a.stl", process=True)
-    write_seg(tmp_path / "b.dcm", [Segment("Lumen", mask_of_mesh(mesh, ct.study))], ct.study, "lumen")
+    write_seg(tmp_path / "b.dcm", [LabeledMask("Lumen", mask_of_mesh(mesh, ct.study))], ct.study, "lumen")
     a, b = (on_grid(read_seg(tmp_path / name)[0], ct) for name in ("a.dcm", "b.dcm"))
     box = np.ones((3, 3, 3), bool)
     assert not np.any(b & ~ndimage.binary_dilation(a, box)) and not np.any(ndimage.binary_erosion(a, box) & ~b)
@@ -148,7 +148,7 @@ def test_segments_that_cannot_be_are_refused(mask: np.ndarray | None, ct: Ct, tm
     with pytest.raises(
         InputError, match="has no voxel" if mask is None else "4 x 4 x 4 voxels, the scan 100 x 90 x 80"
     ):
-        write_seg(tmp_path / "s.dcm", [Segment("x", given)], ct.study, "lumen")
+        write_seg(tmp_path / "s.dcm", [LabeledMask("x", given)], ct.study, "lumen")
     assert not list(tmp_path.iterdir())
 
 

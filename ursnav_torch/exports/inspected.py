@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.exports.seg import Segment
+from ursnav_torch.exports.seg import LabeledMask
 from ursnav_torch.exports.study import Study
 from ursnav_torch.geometry import Array, apply
 
@@ -17,7 +17,7 @@ _GREEN, _RED = (60, 170, 90), (200, 70, 60)
 
 def inspected_wall(
     lumen: NDArray[np.bool_], patches_lps: Array, seen: Sequence[int], study: Study
-) -> tuple[Segment, ...]:
+) -> tuple[LabeledMask, ...]:
     """The wall in two segments, seen and not; one where the other is empty.
 
     A voxel is wall when it is lumen and has a neighbor across a face that is not. It is as its nearest patch is.
@@ -43,5 +43,5 @@ def inspected_wall(
         mask = np.zeros_like(lumen)
         mask[tuple(voxels[of].T)] = True
         if of.any():
-            segments.append(Segment(label, mask, color))
+            segments.append(LabeledMask(label, mask, color))
     return tuple(segments)

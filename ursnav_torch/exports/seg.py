@@ -30,7 +30,7 @@ _CATEGORY, _TYPE = ("123037004", "SCT", "Anatomical Structure"), ("25990002", "S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Segment:
+class LabeledMask:
     """One segment.
 
     Attributes:
@@ -68,7 +68,7 @@ def mask_of_mesh(mesh_lps: trimesh.Trimesh, study: Study) -> NDArray[np.bool_]:
     return mask
 
 
-def write_seg(path: Path, segments: Sequence[Segment], study: Study, kind: str, overwrite: bool = True) -> None:
+def write_seg(path: Path, segments: Sequence[LabeledMask], study: Study, kind: str, overwrite: bool = True) -> None:
     """Write a binary DICOM SEG.
 
     Args:
@@ -153,7 +153,7 @@ def _affine(study: Study) -> Array:
     return study.T_lps_voxel[:, [2, 1, 0, 3]]
 
 
-def _description(hd: Any, number: int, segment: Segment) -> Any:
+def _description(hd: Any, number: int, segment: LabeledMask) -> Any:
     coded = hd.sr.CodedConcept
     algorithm = hd.AlgorithmIdentificationSequence(
         name=MANUFACTURER,

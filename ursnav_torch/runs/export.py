@@ -11,7 +11,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.evaluation import write_tum
 from ursnav_torch.exploration.coverage import CoverageSettings, divide_wall
 from ursnav_torch.exports import (
-    Segment,
+    LabeledMask,
     Study,
     calyx_markup,
     inspected_wall,
@@ -120,7 +120,7 @@ def _to_dicom(inputs: ExportInputs, out: Path, overwrite: bool) -> str:
     if inputs.landmarks is not None:
         lists["landmarks"] = _landmarks(inputs.landmarks, T)
     with whole_folder(out, overwrite) as work:
-        write_seg(work / "lumen.seg.dcm", [Segment("Lumen of the collecting system", lumen)], study, "lumen")
+        write_seg(work / "lumen.seg.dcm", [LabeledMask("Lumen of the collecting system", lumen)], study, "lumen")
         if inputs.track is not None:
             wall, seen = _coverage(inputs.track, vid)
             write_seg(
