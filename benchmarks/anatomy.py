@@ -19,7 +19,6 @@ import numpy as np
 import trimesh
 
 from benchmarks.shared.results import Report, overrides
-from ursnav_torch.files import no_progress
 from ursnav_torch.kidney import Kidney, load_mesh_kidney, make_phantom_kidney
 from ursnav_torch.kidney.grid import LumenGrid, distance_to_surface
 from ursnav_torch.printing import check_print, make_printed_phantom
@@ -63,7 +62,7 @@ def _accuracy(
         )
         write_scan(scan, scratch / "scan.nii")
         start = time.perf_counter()
-        ct = _segmented(scratch / "scan.nii")
+        ct = scan_lumen(scratch / "scan.nii")
         seconds.append(time.perf_counter() - start)
         surface.append(_between(ct.mesh, patient.mesh))
         volume.append(100 * (ct.mesh.volume / patient.mesh.volume - 1))
@@ -77,10 +76,6 @@ def _accuracy(
     report.add(group, "calyces present", "%", [100 * present / tips], f"{present}/{tips}", tips)
     report.add(group, f"calyces named within {TIP_MM:g} mm", "%", [100 * found / tips], f"{found}/{tips}", tips)
     report.add(group, "reading and segmenting", "s", seconds)
-
-
-def _segmented(path: Path) -> CtKidney:
-    return scan_lumen(path, None, None, None, None, None, "lps", 60_000, no_progress)
 
 
 def _between(a: trimesh.Trimesh, b: trimesh.Trimesh) -> np.ndarray:

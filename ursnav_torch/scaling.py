@@ -1,6 +1,7 @@
 """Lengths in settings are stated for anatomy, at scale 1: the one rule that makes them those of a larger phantom."""
 
-from dataclasses import fields, is_dataclass, replace
+from copy import copy
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 Settings = TypeVar("Settings")
@@ -12,18 +13,20 @@ LENGTH_ENDINGS = ("_mm", "_mm_s", "_mm_s2")
 def scaled(settings: Settings, scale: float) -> Settings:
     """Settings, a dataclass, with every length times a kidney's scale; dataclasses inside it likewise.
 
-    A field is a length if its name ends as `LENGTH_ENDINGS` have it.
+    A field is a length if its name ends as `LENGTH_ENDINGS` have it. Nothing is checked again: what settings accept is
+    stated at scale 1.
 
     Raises:
         TypeError: no dataclass.
     """
     if not is_dataclass(settings) or isinstance(settings, type):
         raise TypeError(f"Expected settings, a dataclass, got {type(settings).__name__}.")
-    changed: dict[str, Any] = {}
+    larger = copy(settings)
     for field in fields(settings):
-        value = getattr(settings, field.name)
+        value: Any = getattr(settings, field.name)
         if is_dataclass(value) and not isinstance(value, type):
-            changed[field.name] = scaled(value, scale)
+            value = scaled(value, scale)
         elif field.name.endswith(LENGTH_ENDINGS) and value is not None:
-            changed[field.name] = value * scale
-    return replace(settings, **changed)
+            value = value * scale
+        object.__setattr__(larger, field.name, value)  # frozen, and only just copied
+    return larger

@@ -7,9 +7,17 @@ import pytest
 from ct_scans import between, labels_of, small_ct
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import no_progress
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.segmentation import CtKidney, Patient, Scan, place_kidney, scan_lumen, synthetic_ct, write_scan
+from ursnav_torch.segmentation import (
+    CtKidney,
+    Patient,
+    Scan,
+    SegmentationSettings,
+    place_kidney,
+    scan_lumen,
+    synthetic_ct,
+    write_scan,
+)
 
 pytest.importorskip("SimpleITK", reason="the extra ct is not installed")
 
@@ -28,11 +36,7 @@ def both(patients: dict[str, Patient], tmp_path_factory: pytest.TempPathFactory)
 
 
 def lumen(path: Path, **choices: object) -> CtKidney:
-    keys = ("series", "label", "side", "seed_mm", "threshold_hu")
-    unknown = set(choices) - {*keys, "frame", "faces"}
-    assert not unknown
-    frame, faces = choices.get("frame", "lps"), choices.get("faces", 60_000)
-    return scan_lumen(path, *(choices.get(k) for k in keys), frame, faces, no_progress)  # type: ignore[arg-type]
+    return scan_lumen(path, SegmentationSettings(**choices))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -8,7 +8,6 @@ import trimesh
 from ct_scans import between, flipped, labels_of, small_ct, turned
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.files import no_progress
 from ursnav_torch.geometry import T_RAS_LPS, apply, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance, load_mesh_kidney
 from ursnav_torch.kidney.grid import LumenGrid
@@ -16,6 +15,7 @@ from ursnav_torch.segmentation import (
     CtKidney,
     Patient,
     Scan,
+    SegmentationSettings,
     load_ct_kidney,
     read_scan,
     scan_lumen,
@@ -47,7 +47,7 @@ def straight(folder: Path) -> CtKidney:
 
 
 def lumen(path: Path, frame: str = "lps", label: int | None = None) -> CtKidney:
-    return scan_lumen(path, None, label, None, None, None, frame, 60_000, no_progress)
+    return scan_lumen(path, SegmentationSettings(label=label, frame=frame))
 
 
 def check_true(mesh: trimesh.Trimesh, patient: Patient) -> None:
@@ -136,7 +136,7 @@ def test_convention_ras_is_lps_with_x_and_y_turned_round(folder: Path, straight:
 
 
 def test_fewer_faces_keep_the_surface(folder: Path, straight: CtKidney) -> None:
-    light = scan_lumen(folder / "straight.nii.gz", None, None, None, None, None, "lps", 15_000, no_progress).mesh
+    light = scan_lumen(folder / "straight.nii.gz", SegmentationSettings(faces=15_000)).mesh
     assert len(light.faces) <= 15_000 < len(straight.mesh.faces)
     assert between(light, straight.mesh).max() < 0.4
     assert light.volume == pytest.approx(straight.mesh.volume, rel=0.005)

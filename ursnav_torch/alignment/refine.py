@@ -14,6 +14,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
 from ursnav_torch.rendering import RayScene
+from ursnav_torch.scaling import scaled
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -93,7 +94,7 @@ class Refiner:
             )
         self.settings = settings or RefinementSettings()
         self._lumen = vid.lumen
-        self._clearance = self.settings.clearance_mm * vid.kidney.scale
+        self._clearance = scaled(self.settings, vid.kidney.scale).clearance_mm
         scene = RayScene(vid.kidney.mesh)
         self._aligners = [
             Aligner(scene, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)

@@ -12,6 +12,7 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RayScene
+from ursnav_torch.scaling import scaled
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -105,6 +106,10 @@ class Coverage:
         T_reachable: (V, 4, 4) poses that the scope can take; what none of them sees is out of reach. The views of a
             VID were planned as such. None takes all wall as in reach.
         settings: what counts as seen.
+
+    Attributes:
+        settings: as given.
+        of_kidney: the same, lengths in mm of this kidney.
     """
 
     def __init__(
@@ -116,6 +121,7 @@ class Coverage:
         settings: CoverageSettings | None = None,
     ) -> None:
         self.kidney, self.camera, self.settings = kidney, camera, settings or CoverageSettings()
+        self.of_kidney = scaled(self.settings, kidney.scale)
         self.patches = divide_wall(kidney, lumen, self.settings)
         self._scene, self._tree = RayScene(kidney.mesh), cKDTree(self.patches.center_mm)
         self._half_field = _half_field(camera)
@@ -136,22 +142,20 @@ class Coverage:
 
     def in_view(self, T_kidney_camera: Array) -> IntArray:
         """Indices of the patches seen from a pose: near enough, not at a slant, in the picture, and not hidden."""
-        s, unit = self.settings, self.kidney.scale
+        s = self.of_kidney
         position = np.asarray(T_kidney_camera, float)[:3, 3]
-        near = np.array(self._tree.query_ball_point(position, s.farthest_mm * unit), int)
+        near = np.array(self._tree.query_ball_point(position, s.farthest_mm), int)
         way = self.patches.center_mm[near] - position
         distance = np.linalg.norm(way, axis=1)
         ray = way / np.maximum(distance, 1e-9)[:, None]
-        keep = (distance >= s.nearest_mm * unit) & (
-            ray @ T_kidney_camera[:3, 2] > np.cos(self.settings.edge_share * self._half_field)
-        )
+        keep = (distance >= s.nearest_mm) & (ray @ T_kidney_camera[:3, 2] > np.cos(s.edge_share * self._half_field))
         keep &= np.sum(ray * self.patches.normal[near], axis=1) > np.cos(np.radians(s.incidence_deg))
         keep[keep] = self.camera.project(ray[keep] @ T_kidney_camera[:3, :3])[1]
         near, distance, ray = near[keep], distance[keep], ray[keep]
         if not len(near):
             return near
         depth, _ = self._scene.cast(position, ray)
-        return near[depth >= distance - s.patch_mm * unit]
+        return near[depth >= distance - s.patch_mm]
 
     def calyces(self) -> list[CalyxCoverage]:
         """The verdict on every calyx."""
@@ -188,7 +192,7 @@ class Coverage:
 
 def divide_wall(kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings) -> Patches:
     """Patches of a kidney's wall: triangles joined that lie in one cube of the patches' side and face alike."""
-    mesh, side = kidney.mesh, settings.patch_mm * kidney.scale
+    mesh, side = kidney.mesh, scaled(settings, kidney.scale).patch_mm
     fine = mesh.area_faces > 1e-12
     centers, normals = np.asarray(mesh.triangles_center), np.asarray(mesh.face_normals)
     cell = np.column_stack([np.floor(centers / side), np.abs(normals).argmax(1), normals.max(1) > 1e-9])
@@ -217,7 +221,7 @@ def calyx_of_wall(points_mm: Array, kidney: Kidney, lumen: LumenDistance, settin
     node = nodes[np.arange(len(nodes)), relative.argmin(1)]
     to_tip = lumen.to_calyces(points_mm)
     nearest = to_tip.argmin(1)
-    near = to_tip.min(1) <= settings.calyx_mm * kidney.scale
+    near = to_tip.min(1) <= scaled(settings, kidney.scale).calyx_mm
     return np.where(near & (tree.calyx[node] == nearest), nearest, -1)
 
 

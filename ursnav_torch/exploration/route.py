@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import Kidney
+from ursnav_torch.scaling import scaled
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -68,6 +69,7 @@ def route_to(kidney: Kidney, position_mm: Array, calyx: int, limits: ScopeLimits
         InputError: there is no such calyx.
     """
     limits = limits or ScopeLimits()
+    of_kidney = scaled(limits, kidney.scale)
     if not 0 <= calyx < len(kidney.calyces):
         raise InputError(f"The kidney has calyces 0 to {len(kidney.calyces) - 1}, got {calyx}.")
     tree, inward = kidney.centerline, kidney.centerline.path_to(calyx)
@@ -78,9 +80,7 @@ def route_to(kidney: Kidney, position_mm: Array, calyx: int, limits: ScopeLimits
     points = tree.points_mm[path]
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     bend = bend_needed_deg(kidney, calyx, limits)
-    ahead = inward[
-        _along(tree.points_mm[inward])[-1] - _along(tree.points_mm[inward]) >= limits.short_mm * kidney.scale
-    ]
+    ahead = inward[_along(tree.points_mm[inward])[-1] - _along(tree.points_mm[inward]) >= of_kidney.short_mm]
     narrowest = float(tree.radius_mm[ahead].min()) if len(ahead) else float(tree.radius_mm[inward[0]])
     return Route(
         kidney.calyces[calyx].name,
@@ -90,7 +90,7 @@ def route_to(kidney: Kidney, position_mm: Array, calyx: int, limits: ScopeLimits
         float(step[: len(back) - 1].sum()),
         bend,
         narrowest,
-        bend <= limits.largest_bend_deg and narrowest >= limits.radius_mm * kidney.scale,
+        bend <= limits.largest_bend_deg and narrowest >= of_kidney.radius_mm,
     )
 
 
@@ -111,9 +111,9 @@ def bend_needed_deg(kidney: Kidney, calyx: int, limits: ScopeLimits) -> float:
 
     The shaft follows the centerline from the pelvis; before the pelvis it is taken as straight.
     """
-    points = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)]
+    points, limits = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)], scaled(limits, kidney.scale)
     along = _along(points)
-    stations = np.arange(0.0, max(along[-1] - limits.short_mm * kidney.scale, 0.5), 0.5)
+    stations = np.arange(0.0, max(along[-1] - limits.short_mm, 0.5), 0.5)
     look = 2.0 * kidney.scale
 
     def direction(at: Array) -> Array:
@@ -121,7 +121,7 @@ def bend_needed_deg(kidney: Kidney, calyx: int, limits: ScopeLimits) -> float:
         way = [np.interp(ahead, along, points[:, i]) - np.interp(behind, along, points[:, i]) for i in range(3)]
         return np.stack(way, 1)
 
-    before = np.maximum(stations - limits.bending_length_mm * kidney.scale, 0.0)
+    before = np.maximum(stations - limits.bending_length_mm, 0.0)
     return float(np.degrees(angle_between(direction(before), direction(stations)).max()))
 
 

@@ -303,10 +303,9 @@ def _believed(tracked: Tracked) -> Array | None:
 
 def _worded(state: NavigationState) -> NavigationState:
     """A state with its line of plain words."""
-    g = state.guidance
     remarks = ["No new picture."] * state.stale + ["The robot is stopped."] * (state.robot == STOPPED)
     remark = " ".join([*remarks, WORDS[state.effort]]).strip()
-    line = status_line(state.tracking, state.calyx, g.place, state.confidence, g.coverage, g.route, g.turn, remark)
+    line = status_line(state.tracking, state.calyx, state.confidence, state.guidance, remark)
     return replace(state, status=line)
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage
 from ursnav_torch.exploration.route import Route
+from ursnav_torch.navigation.state import Guidance
 from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]
@@ -16,32 +17,23 @@ SURE, FAIRLY_SURE = 0.9, 0.6
 BACK_MM, AHEAD_MM, STRAIGHT_DEG = 3.0, 6.0, 20.0
 
 
-def status_line(
-    tracking: str,
-    calyx: str,
-    place: str,
-    confidence: float,
-    coverage: Sequence[CalyxCoverage],
-    route: Route | None,
-    turn: str,
-    remark: str = "",
-) -> str:
+def status_line(tracking: str, calyx: str, confidence: float, guidance: Guidance, remark: str = "") -> str:
     """The line that a surgeon reads.
 
     Args:
         tracking: ``tracking``, ``searching`` or ``lost``.
         calyx: the calyx observed, blank for none.
-        place: the branch that the scope is in.
         confidence: probability that this is right.
-        coverage: the verdict on every calyx.
-        route, turn: the way on and the next move, as far as known.
+        guidance: what was seen, and the way on as far as it is known.
         remark: one more sentence, as it is.
 
     Example:
-        >>> status_line("tracking", "C", "calyx C", 0.97, [], None, "")
+        >>> status_line("tracking", "C", 0.97, Guidance("calyx C"))
         'In calyx C, sure.'
     """
-    parts = [where(tracking, calyx, place, confidence), progress(coverage), way_on(tracking, route, turn), remark]
+    g = guidance
+    parts = [where(tracking, calyx, g.place, confidence), progress(g.coverage), way_on(tracking, g.route, g.turn)]
+    parts.append(remark)
     return " ".join(part for part in parts if part)
 
 

@@ -31,7 +31,7 @@ def _painted(coverage: Coverage, overview: Overview) -> Picture:
     facing = np.abs(patches.normal @ R[2])
     color = color * (0.55 + 0.45 * facing)[:, None]
     depth = apply(overview.T_view_kidney, patches.center_mm)[:, 2]
-    radius = max(1, round(0.75 * coverage.settings.patch_mm * coverage.kidney.scale * overview.px_per_mm))
+    radius = max(1, round(0.75 * coverage.of_kidney.patch_mm * overview.px_per_mm))
     veil = picture.copy()
     for i in np.argsort(-depth):
         x, y = np.rint(overview.project(patches.center_mm[i])).astype(int).tolist()

@@ -5,20 +5,22 @@ its surface is meshed, and from there on it is a kidney like any other. Needs th
 """
 
 from ursnav_torch.segmentation.label_surface import lumen_surface
-from ursnav_torch.segmentation.load import CtKidney, load_ct_kidney, name_kidney, scan_lumen
+from ursnav_torch.segmentation.load import CtKidney, SegmentationSettings, load_ct_kidney, name_kidney, scan_lumen
 from ursnav_torch.segmentation.lumen import Lumen
 from ursnav_torch.segmentation.markups import Markup, calyces_from_markups, curves_of, points_of, read_markups
 from ursnav_torch.segmentation.scans import Scan, ScanHeader, read_scan, write_dicom, write_scan
 from ursnav_torch.segmentation.synthetic import Patient, place_kidney, synthetic_ct
-from ursnav_torch.segmentation.write import segment_scan, write_stl
+from ursnav_torch.segmentation.write import MarkedByHand, segment_scan, write_stl
 
 __all__ = [
     "CtKidney",
     "Lumen",
+    "MarkedByHand",
     "Markup",
     "Patient",
     "Scan",
     "ScanHeader",
+    "SegmentationSettings",
     "calyces_from_markups",
     "curves_of",
     "load_ct_kidney",

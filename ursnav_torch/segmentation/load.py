@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -45,19 +46,45 @@ class CtKidney:
     T_kidney_lps: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentationSettings:
+    """What of a scan is taken, and how its surface is made.
+
+    Attributes:
+        series: UID of the DICOM series where the folder holds several.
+        label: number or name of the lumen's label in a label map; None takes the only one there, and segments a CT.
+        side: "left" or "right" of the patient, where both kidneys are to be seen.
+        seed_mm: (3,) a point in the contrast, LPS; None finds it.
+        threshold_hu: density above which contrast is grown; None tries from 240 HU on.
+        frame: of the kidney: "lps" or "ras".
+        faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
+        header: spacing, orientation or unit where the file's own header lacks them or is wrong.
+    """
+
+    series: str | None = None
+    label: int | str | None = None
+    side: str | None = None
+    seed_mm: ArrayLike | None = None
+    threshold_hu: float | None = None
+    frame: str = "lps"
+    faces: int = 60_000
+    header: ScanHeader | None = None
+
+    def __post_init__(self) -> None:
+        if self.side not in (None, "left", "right"):
+            raise InputError(f"kidney.side is {self.side!r}; accepted are left, right and null.")
+        if self.frame not in ("lps", "ras"):
+            raise InputError(f"kidney.frame is {self.frame!r}; accepted are lps and ras.")
+        if self.faces < 1000:
+            raise InputError(f"kidney.faces is {self.faces}; at least 1000 triangles are needed to show calyces.")
+
+
 def load_ct_kidney(
     path: Path | str,
-    series: str | None = None,
-    label: int | str | None = None,
-    side: str | None = None,
-    seed_mm: ArrayLike | None = None,
-    threshold_hu: float | None = None,
-    frame: str = "lps",
-    faces: int = 60_000,
     calyces: Path | str | None = None,
     centerline: Path | str | None = None,
-    header: ScanHeader | None = None,
     progress: Progress = no_progress,
+    **settings: Any,
 ) -> Kidney:
     """A kidney from a CT urography or from a label map of one.
 
@@ -65,56 +92,35 @@ def load_ct_kidney(
 
     Args:
         path: folder of DICOM slices, or NIfTI, NRRD, MetaImage.
-        series: UID of the DICOM series where the folder holds several.
-        label: number or name of the lumen's label in a label map; None takes the only one there, and segments a CT.
-        side: "left" or "right" of the patient, where both kidneys are to be seen.
-        seed_mm: (3,) a point in the contrast, LPS; None finds it.
-        threshold_hu: density above which contrast is grown; None tries from 240 HU on.
-        frame: "lps" or "ras".
-        faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
         calyces: CSV as for `load_mesh_kidney` (kidney frame), or Slicer's .mrk.json; None finds and names them.
         centerline: Slicer's .mrk.json with a curve a calyx, from the pelvis to its tip; None finds it.
-        header: spacing, orientation or unit where the file's own header lacks them or is wrong.
         progress: how far the search is.
+        settings: those of `SegmentationSettings`.
 
     Raises:
         InputError: see `read_scan`, `lumen_of_label`, `lumen_of_contrast`, `check_lumen` and `build_kidney`.
         MissingExtraError: the extra ``ct`` is not installed.
     """
-    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header)
-    return name_kidney(found, calyces, centerline)
+    return name_kidney(scan_lumen(path, SegmentationSettings(**settings), progress), calyces, centerline)
 
 
 def scan_lumen(
-    path: Path | str,
-    series: str | None,
-    label: int | str | None,
-    side: str | None,
-    seed_mm: ArrayLike | None,
-    threshold_hu: float | None,
-    frame: str,
-    faces: int,
-    progress: Progress,
-    header: ScanHeader | None = None,
+    path: Path | str, settings: SegmentationSettings | None = None, progress: Progress = no_progress
 ) -> CtKidney:
-    """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface.
-
-    Args:
-        path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header: see `load_ct_kidney`.
-    """
-    _check_choices(side, frame, faces)
+    """The first half of `load_ct_kidney`: the scan, its lumen and the checked surface."""
+    s = settings or SegmentationSettings()
     with progress(1, "scans read") as advance:
-        scan = read_scan(path, series, header=header)
+        scan = read_scan(path, s.series, header=s.header)
         advance(1)
     counts = label_counts(scan)
-    if label is not None and not counts:
+    if s.label is not None and not counts:
         raise InputError(f"{scan.source} is a CT and no label map; leave out kidney.label, or give the label map.")
-    if counts and (label is not None or len(counts) > 1):
-        lumen = lumen_of_label(scan, counts, label, side)
+    if counts and (s.label is not None or len(counts) > 1):
+        lumen = lumen_of_label(scan, counts, s.label, s.side)
     else:
-        lumen = lumen_of_contrast(scan, side, seed_mm, threshold_hu, progress)
-    T = np.eye(4) if frame == "lps" else T_RAS_LPS
-    mesh = lumen_surface(lumen, faces)
+        lumen = lumen_of_contrast(scan, s.side, s.seed_mm, s.threshold_hu, progress)
+    T = np.eye(4) if s.frame == "lps" else T_RAS_LPS
+    mesh = lumen_surface(lumen, s.faces)
     mesh.apply_transform(T)
     return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0, _UNIT_ADVICE), T)
 
@@ -132,12 +138,3 @@ def name_kidney(found: CtKidney, calyces: Path | str | None, centerline: Path | 
         return kidney
     curves = [apply(found.T_kidney_lps, curve) for curve in curves_of(read_markups(centerline))]
     return with_curves(kidney, curves, str(centerline))
-
-
-def _check_choices(side: str | None, frame: str, faces: int) -> None:
-    if side not in (None, "left", "right"):
-        raise InputError(f"kidney.side is {side!r}; accepted are left, right and null.")
-    if frame not in ("lps", "ras"):
-        raise InputError(f"kidney.frame is {frame!r}; accepted are lps and ras.")
-    if faces < 1000:
-        raise InputError(f"kidney.faces is {faces}; at least 1000 triangles are needed to show calyces.")

@@ -1,38 +1,43 @@
 """The result of a segmentation as files: surface, label map, preview, calyces, landmarks."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import Progress, check_output, no_progress, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.tables import write_calyces, write_centerline
-from ursnav_torch.segmentation.load import CtKidney, name_kidney, scan_lumen
+from ursnav_torch.segmentation.load import CtKidney, SegmentationSettings, name_kidney, scan_lumen
 from ursnav_torch.segmentation.markups import points_of, read_markups
 from ursnav_torch.segmentation.preview import preview
-from ursnav_torch.segmentation.scans import Scan, ScanHeader, write_scan
+from ursnav_torch.segmentation.scans import Scan, write_scan
+
+
+@dataclass(frozen=True, slots=True)
+class MarkedByHand:
+    """What somebody marked beforehand; None where nobody did.
+
+    Attributes:
+        calyces, centerline: see `load_ct_kidney`.
+        landmarks: 3D Slicer's .mrk.json with a point list, for `register`.
+    """
+
+    calyces: Path | str | None = None
+    centerline: Path | str | None = None
+    landmarks: Path | str | None = None
 
 
 def segment_scan(
     out: Path,
     path: Path | str,
-    series: str | None = None,
-    label: int | str | None = None,
-    side: str | None = None,
-    seed_mm: ArrayLike | None = None,
-    threshold_hu: float | None = None,
-    frame: str = "lps",
-    faces: int = 60_000,
-    calyces: Path | str | None = None,
-    centerline: Path | str | None = None,
-    landmarks: Path | str | None = None,
-    header: ScanHeader | None = None,
+    settings: SegmentationSettings | None = None,
+    marked: MarkedByHand | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Kidney:
@@ -40,26 +45,27 @@ def segment_scan(
 
     The folder holds ``lumen.stl`` (its header says the frame as 3D Slicer reads it), ``labels.nii.gz`` (1 in the lumen,
     on the scan's own grid), ``preview.png``, ``calyces.csv``, ``centerline.csv``, ``segmentation.json``, and
-    ``landmarks.csv`` where ``landmarks``, a .mrk.json with a point list, is given.
+    ``landmarks.csv`` where landmarks were marked.
 
     Args:
         out: the folder to write.
-        path, series, label, side, seed_mm, threshold_hu, frame, faces: see `load_ct_kidney`.
-        calyces, centerline, header, progress: see `load_ct_kidney`.
-        landmarks: as above.
+        path, progress: see `load_ct_kidney`.
+        settings: what is taken, and how.
+        marked: what was marked by hand.
         overwrite: whether ``out`` may be there already.
 
     Raises:
         InputError: ``out`` exists, or see `load_ct_kidney`.
     """
+    settings, marked = settings or SegmentationSettings(), marked or MarkedByHand()
     check_output(out, overwrite)
-    points = None if landmarks is None else points_of(read_markups(landmarks))
+    points = None if marked.landmarks is None else points_of(read_markups(marked.landmarks))
     if points is not None and not len(points[0]):
-        raise InputError(f"{landmarks} holds no point list; landmarks are placed as points in 3D Slicer.")
-    found = scan_lumen(path, series, label, side, seed_mm, threshold_hu, frame, faces, progress, header)
-    kidney = name_kidney(found, calyces, centerline)
+        raise InputError(f"{marked.landmarks} holds no point list; landmarks are placed as points in 3D Slicer.")
+    found = scan_lumen(path, settings, progress)
+    kidney = name_kidney(found, marked.calyces, marked.centerline)
     with whole_folder(out, overwrite) as work:
-        _write_all(found, kidney, work, frame)
+        _write_all(found, kidney, work, settings.frame)
         if points is not None:
             _write_landmarks(work / "landmarks.csv", points[0], apply(found.T_kidney_lps, points[1]))
     return kidney

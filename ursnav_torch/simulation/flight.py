@@ -15,6 +15,7 @@ from ursnav_torch.devices import JointRates, Joints, Limits, clamp_rates
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array, look_along, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.scaling import scaled
 from ursnav_torch.simulation.pilot import TwinPilot
 from ursnav_torch.simulation.twin import Scope, Twin
 
@@ -92,6 +93,7 @@ def fly(
         rng: draws stops, breathing, roll and tremor.
         scope: the scope with its plays; the twin's own when None.
     """
+    settings = scaled(settings, kidney.scale)
     twin = Twin(lumen.clearance_mm, _no_picture, _start(kidney, rng), scope)
     flown = list(_flown(twin, kidney, calyces, settings, rng))[: settings.pictures]
     t_s, poses, joints = (np.array(part) for part in zip(*flown, strict=True))
@@ -104,7 +106,7 @@ def _flown(
 ) -> list[tuple[float, Array, Array]]:
     """Time, pose of the twin and reported joints at the camera's rate, until the pilot is done."""
     now, joints = 0.0, Joints()
-    speed, bend = settings.speed_mm_s * kidney.scale, np.radians(settings.turn_deg_s)
+    speed, bend = settings.speed_mm_s, np.radians(settings.turn_deg_s)
     limits = replace(
         Limits(),
         max_bend_rate_rad_s=float(bend),
@@ -154,7 +156,7 @@ def _unsteady(
     along = rng.standard_normal(3)
     breath = np.sin(2 * np.pi * _BREATH_HZ * t_s + rng.uniform(0, 2 * np.pi)) * settings.breathing_mm
     moved = breath[:, None] * along / np.linalg.norm(along) + rng.normal(0, settings.tremor_mm, (count, 3))
-    place, moved = poses[:, :3, 3], unit * moved
+    place = poses[:, :3, 3]
     room = clearance_mm(place + moved)
     moved = np.where((room < np.minimum(clearance_mm(place), 0.6 * unit))[:, None], 0.25 * moved, moved)
     turn = rng.normal(0, np.radians(settings.tremor_deg), (count, 3))

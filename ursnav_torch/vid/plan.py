@@ -9,6 +9,7 @@ from scipy.stats import qmc
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import angle_between, look_along
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
+from ursnav_torch.scaling import scaled
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -88,6 +89,7 @@ def plan_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings) -> 
     Raises:
         InputError: a calyx has too little room for the scope; the message names it.
     """
+    settings = scaled(settings, kidney.scale)
     parts = [_calyx_views(kidney, lumen, settings, calyx) for calyx in range(len(kidney.calyces))]
     parts.append(_passage_views(kidney, lumen, settings))
     T = np.concatenate(parts)
@@ -97,23 +99,22 @@ def plan_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings) -> 
 def _calyx_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings, calyx: int) -> Array:
     """The views (views_per_calyx, 4, 4) that are labeled with one calyx."""
     way = _Way.to_calyx(kidney, calyx)
-    unit = kidney.scale
-    far = min(settings.farthest_mm * unit, way.length)
+    near, far = settings.nearest_mm, min(settings.farthest_mm, way.length)
     found: list[Array] = []
     count, rounds = 0, 0
     sequence = qmc.Sobol(6, seed=settings.seed * 1009 + calyx)
     while count < settings.views_per_calyx:
         u = sequence.random(2 ** int(np.ceil(np.log2(4 * settings.views_per_calyx))))
-        T = _poses(way, way.length - (settings.nearest_mm * unit + u[:, 0] * (far - settings.nearest_mm * unit)),
-                   u[:, 1:], kidney, lumen, settings)  # fmt: skip
+        T = _poses(way, way.length - (near + u[:, 0] * (far - near)), u[:, 1:], lumen, settings)
         T = T[observed_calyx(T, kidney, lumen) == calyx]
         found.append(T)
         count, rounds = count + len(T), rounds + 1
         if rounds == 20 and count < settings.views_per_calyx:
             raise InputError(
                 f"Calyx {kidney.calyces[calyx].name} has room for only {count} of {settings.views_per_calyx} views: "
-                f"its lumen is too narrow for a scope of radius {settings.scope_radius_mm} mm, or another calyx's tip "
-                "lies in every line of sight. Lower views.scope_radius_mm, or take that row out of the calyces file."
+                f"its lumen is too narrow for a scope of radius {settings.scope_radius_mm:g} mm, or another calyx's "
+                "tip lies in every line of sight. Lower views.scope_radius_mm, or take that row out of the calyces "
+                "file."
             )
     return np.concatenate(found)[: settings.views_per_calyx]
 
@@ -123,25 +124,23 @@ def _passage_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings)
     if settings.passage_views == 0:
         return np.zeros((0, 4, 4))
     ways = [_Way.to_calyx(kidney, calyx) for calyx in range(len(kidney.calyces))]
-    room = np.array([max(way.length - settings.farthest_mm * kidney.scale, 1.0) for way in ways])
+    room = np.array([max(way.length - settings.farthest_mm, 1.0) for way in ways])
     u = qmc.Sobol(7, seed=settings.seed * 1009 + 997).random(2 ** int(np.ceil(np.log2(8 * settings.passage_views))))
     chosen = np.searchsorted(np.cumsum(room) / room.sum(), u[:, 6], side="right").clip(0, len(ways) - 1)
     parts = [
-        _poses(way, u[chosen == i, 0] * room[i], u[chosen == i, 1:6], kidney, lumen, settings)
-        for i, way in enumerate(ways)
+        _poses(way, u[chosen == i, 0] * room[i], u[chosen == i, 1:6], lumen, settings) for i, way in enumerate(ways)
     ]
     T = np.concatenate(parts)
     order = np.random.default_rng(settings.seed).permutation(len(T))
     return T[order[: settings.passage_views]]
 
 
-def _poses(way: "_Way", at_mm: Array, u: Array, kidney: Kidney, lumen: LumenDistance, settings: PlanSettings) -> Array:
+def _poses(way: "_Way", at_mm: Array, u: Array, lumen: LumenDistance, settings: PlanSettings) -> Array:
     """Poses at lengths ``at_mm`` (N,) of a way, spread by uniform numbers ``u`` (N, 5), less those out of reach."""
     center, radius, forward = way.at(at_mm)
-    unit = kidney.scale
     side, up = _across(forward)
-    least = (settings.scope_radius_mm - settings.stretch_mm) * unit
-    room = np.maximum(radius - settings.scope_radius_mm * unit, 0.0)
+    least = settings.scope_radius_mm - settings.stretch_mm
+    room = np.maximum(radius - settings.scope_radius_mm, 0.0)
     offset, turn = (room * np.sqrt(u[:, 0]))[:, None], 2 * np.pi * u[:, 1:2]
     position = center + offset * (np.cos(turn) * side + np.sin(turn) * up)
     tilt = np.radians(settings.tilt_deg) * np.sqrt(-2 * np.log(1 - 0.999 * u[:, 2]))
@@ -149,11 +148,11 @@ def _poses(way: "_Way", at_mm: Array, u: Array, kidney: Kidney, lumen: LumenDist
     aside = np.cos(around) * side + np.sin(around) * up
     direction = np.cos(tilt)[:, None] * forward + np.sin(tilt)[:, None] * aside
     roll = np.radians(settings.roll_deg) * (2 * u[:, 4] - 1)
-    _, _, behind = way.at(np.maximum(at_mm - settings.bending_length_mm * unit, 0.0))
+    _, _, behind = way.at(np.maximum(at_mm - settings.bending_length_mm, 0.0))
     keep = (tilt <= np.radians(settings.largest_tilt_deg)) & (
         angle_between(behind, direction) <= np.radians(settings.largest_bend_deg)
     )
-    needed = np.minimum(settings.scope_radius_mm * unit, np.maximum(_MIDDLE * radius, least))
+    needed = np.minimum(settings.scope_radius_mm, np.maximum(_MIDDLE * radius, least))
     keep &= lumen.clearance_mm(position) >= needed
     return look_along(position[keep], direction[keep], roll[keep])
 
