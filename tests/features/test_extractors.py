@@ -157,3 +157,15 @@ def test_convention_a_quarter_turn_of_the_picture_shifts_the_maps_by_a_quarter()
     similarity = (shifted * turned.maps).flatten(1).sum(1) / (straight.maps**2).flatten(1).sum(1)
     assert similarity.min() > 0.97
     assert ((straight.maps * turned.maps).sum() / (straight.maps**2).sum()) < 0.6
+
+
+def test_without_edges_maps_are_the_same_and_a_picture_with_few_is_not_refused() -> None:
+    picture = disk(LENS, (141.0, 112.0), 45.0)
+    extractor = make_extractor(DefaultSettings(), LENS)
+    whole, plain = extractor.extract(picture), extractor.extract(picture, edges=False)  # type: ignore[call-arg]
+    torch.testing.assert_close(plain.maps, whole.maps, rtol=0, atol=0)
+    torch.testing.assert_close(plain.fields, whole.fields, rtol=0, atol=0)
+    assert (plain.contrast, plain.grain) == (whole.contrast, whole.grain)
+    assert len(whole.edges) and not len(plain.edges) and not plain.edge_image.any()
+    strict = make_extractor(DefaultSettings(points=9000, min_points=9000), LENS)
+    assert strict.extract(picture, edges=False).maps.numel()  # type: ignore[call-arg]

@@ -49,6 +49,17 @@ def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer)
     assert navigator.bus.latest().ended
 
 
+@pytest.mark.parametrize("drawn", [False, True])
+def test_edge_points_are_looked_for_where_somebody_draws_them(navigator, vid, renderer, drawn):
+    navigator.shows_edges = drawn
+    frame, _ = next(frames(vid, renderer, pictures=1))
+    with navigator:
+        navigator.take(frame)
+        assert navigator.wait()
+        edges = navigator.bus.latest().edges
+    assert (edges is not None and len(edges) > 10) if drawn else edges is None
+
+
 def test_pictures_that_come_too_fast_are_passed_over_and_the_newest_is_located(navigator, vid, renderer):
     shots = [frame for frame, _ in frames(vid, renderer, pictures=30)]
     with navigator:

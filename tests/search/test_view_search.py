@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import Features
+from ursnav_torch.features import NO_EDGES, Features
 from ursnav_torch.geometry import rotation_angle, transform_from
 from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.matching import Hungarian, Matching, Nearest, PairCost, Sinkhorn
@@ -191,3 +191,11 @@ def test_views_are_described_when_they_are_first_finalists(vid: Vid, renderer: R
     first, again = search.rank(features), search.rank(features)
     assert sorted(first.views.tolist()) == paired._described.nonzero().flatten().tolist()
     np.testing.assert_array_equal(first.distance, again.distance)
+
+
+def test_without_edge_points_shapes_have_no_say(vid: Vid, renderer: RaycastRenderer, search: ViewSearch) -> None:
+    features = seen(vid, renderer, vid.T_kidney_camera[3])
+    found = search.at_tilts(features, np.arange(8))
+    assert search.reads_edges and not ViewSearch(vid, VIDEO_SEARCH).reads_edges
+    assert search.with_shapes(features, found).best_score > found.best_score
+    assert search.with_shapes(replace(features, edges=NO_EDGES), found) is found

@@ -1,4 +1,5 @@
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from flights import flight
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.track_rows import track_rows
+from ursnav_torch.search import VIDEO_SEARCH
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
@@ -49,3 +51,26 @@ def test_a_source_that_breaks_says_so_and_one_without_pictures_gives_no_row(vid:
     with pytest.raises(OSError, match="disk is gone"):
         next(rows)
     assert list(rows_of(vid, lambda: iter(()))) == []
+
+
+def test_edge_points_are_extracted_where_somebody_reads_them(vid: Vid, moments: list[Moment]) -> None:
+    image, plain = moments[0].image, Tracker(vid)
+    features = plain.extract(image)
+    assert features is not None and not len(features.edges) and features.maps.numel()
+    shown = plain.extract(image, edges=True)
+    assert shown is not None and len(shown.edges) >= 10
+    shapes = Tracker(vid, search=replace(VIDEO_SEARCH, shape_weight=1.0))
+    matched = shapes.extract(image)
+    assert matched is not None and len(matched.edges) >= 10
+    assert plain.extract(moments[4].image) is None, "an all white picture shows nothing"
+
+
+def test_a_picture_with_few_edge_points_is_followed_all_the_same(vid: Vid, moments: list[Moment]) -> None:
+    """Its shading says where it is; shapes, where they count, have no say in it."""
+    strict = replace(vid, settings=replace(vid.settings, points=9000, min_points=9000))  # type: ignore[type-var]
+    for edges in (False, True):
+        features = Tracker(strict).extract(moments[0].image, edges)
+        assert features is not None and not len(features.edges)
+    tracker = Tracker(vid, search=replace(VIDEO_SEARCH, shape_weight=1.0))
+    features = Tracker(vid).extract(moments[0].image)
+    assert np.isfinite(tracker.follow(features, 0.0).fit)

@@ -77,3 +77,5 @@ class Extractor(Protocol):
 
 #: Maps and fields of an extractor that compares points alone.
 NO_MAPS = torch.zeros(0, 0, 0)
+#: Edge points of a picture that shows none, or in which nobody looked for them.
+NO_EDGES = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))

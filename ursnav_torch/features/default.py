@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features.base import Features
+from ursnav_torch.features.base import NO_EDGES, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
 from ursnav_torch.features.image import check_image, signal
@@ -76,8 +76,11 @@ class DefaultExtractor:
         self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
         self._polar = polar_grid(self.working_camera)
 
-    def extract(self, image: NDArray[np.uint8], virtual: bool = False) -> Features:
-        """See `Extractor.extract`; ``virtual`` makes no difference here."""
+    def extract(self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True) -> Features:
+        """See `Extractor.extract`; ``virtual`` makes no difference here.
+
+        Without ``edges`` nobody looks for edge points, a third of the work, nor refuses a picture that has few.
+        """
         check_image(image, self.camera)
         gray = signal(image)
         refuse_blank(gray, self._mask)
@@ -91,7 +94,23 @@ class DefaultExtractor:
         contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, around)
         grain = local_contrast(small, mask, around) - contrast
         fields = self._fields(relief)
-        ridge = thin_gradient(relief, s.contour_blur * unit) * self._contour_mask
+        maps = polar_maps(fields, self._polar)[0]
+        found, edge_image = self._edge_points(relief) if edges else (NO_EDGES, np.zeros(image.shape[:2], bool))
+        return Features(found, maps, edge_image, fields, contrast, grain)
+
+    def with_relief(self, features: Features, relief: Tensor) -> Features:
+        """Features under another relief (h, w), say a corrected one: fields and maps follow it, edge points stay."""
+        fields = self._fields(relief)
+        return replace(features, fields=fields, maps=polar_maps(fields, self._polar)[0])
+
+    def _edge_points(self, relief: Tensor) -> tuple[EdgePoints, NDArray[np.bool_]]:
+        """Edge points of a relief (h, w), sampled, and all edges at the picture's size (H, W).
+
+        Raises:
+            FeatureError: too few of them.
+        """
+        s = self.settings
+        ridge = thin_gradient(relief, s.contour_blur * self._unit) * self._contour_mask
         edges = self._edges(ridge)
         scale = (self.camera.width / self.working_camera.width, self.camera.height / self.working_camera.height)
         found = edge_points(edges, self._slope(relief, s.contour_blur), ridge, scale)
@@ -101,13 +120,7 @@ class DefaultExtractor:
             )
         keep = sample(found.points.numpy(), s.points, s.sampling, found.weight.numpy())
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
-        maps = polar_maps(fields, self._polar)[0]
-        return Features(found.subset(torch.as_tensor(keep)), maps, full, fields, contrast, grain)
-
-    def with_relief(self, features: Features, relief: Tensor) -> Features:
-        """Features under another relief (h, w), say a corrected one: fields and maps follow it, edge points stay."""
-        fields = self._fields(relief)
-        return replace(features, fields=fields, maps=polar_maps(fields, self._polar)[0])
+        return found.subset(torch.as_tensor(keep)), full
 
     def _fields(self, relief: Tensor) -> Tensor:
         """The relief and its gradients at every scale (C, h, w)."""

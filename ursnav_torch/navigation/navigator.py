@@ -68,6 +68,9 @@ class Navigator:
         exploration: when wall counts as seen, and what the scope can do.
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
+
+    Attributes:
+        shows_edges: whether `NavigationState.edges` are wanted: whoever draws them says so.
     """
 
     def __init__(
@@ -79,6 +82,7 @@ class Navigator:
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
         self.guide = Guide(tracker.vid, tracker.lumen, exploration)
+        self.shows_edges = False
         self.located, self._pace = 0, Pace()
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
@@ -171,7 +175,7 @@ class Navigator:
                 continue
             begun = time.monotonic()
             try:
-                features = self.tracker.extract(job.frame.image)
+                features = self.tracker.extract(job.frame.image, self.shows_edges)
             except Exception as error:  # one picture must not end navigation
                 self._fail(job, error)
                 continue
@@ -225,7 +229,7 @@ class Navigator:
         now, level = time.monotonic(), self._governor.level
         total, tracking = now - job.captured_s, now - begun
         latency = Latency(total - seen.features_s - tracking, seen.features_s, tracking, total, self._painting_s)
-        edges = None if seen.features is None else seen.features.edges
+        edges = seen.features.edges if seen.features is not None and len(seen.features.edges) else None
 
         def change(state: NavigationState) -> NavigationState:
             return _worded(

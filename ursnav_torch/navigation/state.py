@@ -61,7 +61,7 @@ class NavigationState:
     Attributes:
         version: rises by one with every state.
         frame: the picture that the pose belongs to.
-        edges: the picture's edge points, as they were matched; None where it showed too little.
+        edges: the picture's edge points; None where it showed too few, or nobody draws them.
         tracking: ``tracking``, ``searching`` or ``lost``.
         T_kidney_camera: (4, 4), or None unless tracking.
         calyx: name of the calyx observed; blank for none.

@@ -49,6 +49,7 @@ class LivePage:
         programs: bool = False,
     ) -> None:
         self.navigator, self.controls, self._vid = navigator, controls, navigator.vid
+        navigator.shows_edges = True
         self._pictures, self._scale = PagePictures(self._vid), self._vid.kidney.scale
         kidney = self._vid.kidney
         resources = {"/kidney.bin": ("application/octet-stream", lambda: kidney_bytes(kidney, navigator.patch_of_face))}

@@ -55,6 +55,11 @@ class ViewSearch:
         """Whether polar maps are compared: the VID has them and they have weight."""
         return self._scan is not None
 
+    @property
+    def reads_edges(self) -> bool:
+        """Whether edge points are compared: shapes have weight, or there is nothing else to compare."""
+        return self._shape is not None
+
     def rank(self, features: Features) -> Ranking:
         """The VID's views nearest to a picture, best first, at most `SearchSettings.finalists` of them.
 
@@ -86,9 +91,12 @@ class ViewSearch:
         return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
 
     def with_shapes(self, features: Features, found: Ranking) -> Ranking:
-        """Hypotheses of a scan, in their order, with the shapes' say in the score; as they are if it has no weight."""
+        """Hypotheses of a scan, in their order, with the shapes' say in the score.
+
+        They stay as they are where shapes have no weight, or the picture no edge points.
+        """
         weight = self.settings.shape_weight
-        if weight <= 0 or self._shape is None:
+        if weight <= 0 or self._shape is None or not len(features.edges):
             return found
         assignment = self._shape.finalists(features.edges, torch.from_numpy(found.views), found.R_view_query)
         score = found.score + weight * (1 - assignment.distance.numpy().astype(float))

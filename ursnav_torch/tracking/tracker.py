@@ -16,7 +16,7 @@ from torch import Tensor
 from ursnav_torch.alignment import RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import NO_MAPS, DefaultExtractor, DefaultSettings, EdgePoints, Features
+from ursnav_torch.features import NO_EDGES, NO_MAPS, DefaultExtractor, DefaultSettings, Features
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
@@ -147,22 +147,27 @@ class Tracker:
         start = time.perf_counter()
         return self.follow(self.extract(image), t_s, sensor, start)
 
-    def extract(self, image: NDArray[np.uint8]) -> Features | None:
+    def extract(self, image: NDArray[np.uint8], edges: bool = False) -> Features | None:
         """What `follow` needs of a picture (H, W) or (H, W, 3), None where it shows nothing; both may run at once.
+
+        Args:
+            image: the picture.
+            edges: whether somebody wants to see its edge points, which are left out where the search reads none.
 
         Raises:
             InputError: see `step`.
         """
+        read = self._filter.search.reads_edges
         with torch.inference_mode(), one_thread_an_operation():
             try:
-                return self._extractor.extract(image)
+                return self._extractor.extract(image, edges=edges or read)
             except FeatureError:
-                return None
+                pass
+        return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
 
     def recall(self, relief: Tensor) -> Features:
         """What `follow` needs, from no more than the relief (h, w) of what `extract` gave, ``fields[0]``."""
-        none = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
-        kept = Features(none, NO_MAPS, np.zeros((0, 0), bool), relief[None])
+        kept = Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), relief[None])
         with torch.inference_mode(), one_thread_an_operation():
             return self._extractor.with_relief(kept, relief)
 

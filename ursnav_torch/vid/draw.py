@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import NO_MAPS, EdgePoints, Features, Settings, make_extractor, read_image
+from ursnav_torch.features import NO_EDGES, NO_MAPS, EdgePoints, Features, Settings, make_extractor, read_image
 from ursnav_torch.files import write_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.rendering import Renderer, View
@@ -144,5 +144,4 @@ def check_features(features: ViewFeatures, views: int, width: int, where: str) -
 
 
 def _no_features(shape: tuple[int, ...]) -> Features:
-    nothing = EdgePoints(torch.zeros(0, 2), torch.zeros(0), torch.zeros(0))
-    return Features(nothing, NO_MAPS, np.zeros(shape[:2], bool), NO_MAPS)
+    return Features(NO_EDGES, NO_MAPS, np.zeros(shape[:2], bool), NO_MAPS)
