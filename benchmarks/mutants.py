@@ -1,6 +1,7 @@
 """Mutation testing: faults of one line are planted in lines that decide, and the nearest tests have to notice.
 
-    python -m benchmarks.mutants                           # all rooms; some ten minutes on one core
+    python -m benchmarks.mutants                           # all rooms; a quarter of an hour on one core
+    python -m benchmarks.mutants workers=2                 # so many faults at a time; 0 for as many as there are cores
     python -m benchmarks.mutants rooms=search,tracking
     python -m benchmarks.mutants only=tukey keep=true      # one by its name; what its tests said is shown
 
@@ -8,11 +9,12 @@ The faults stand in ``mutants.toml``. Each is planted in a copy of the checkout,
 tests named beside it run there until the first one fails. A fault whose old line is gone, or stands more than once,
 is an error that names it: a plan that no longer meets the code proves nothing. The same tests must pass without any.
 
-The packages that the tests need are imported once, and every run is a fork of that process; the small VID of the tests
-is built once for all rooms above `vid`.
+The packages that the tests need are imported once, and every run is a fork of that process; each worker has a copy of
+its own, and builds the small VID of the tests once for all rooms above `vid`.
 """
 
 import importlib
+import multiprocessing
 import os
 import resource
 import shutil
@@ -30,7 +32,7 @@ from typing import Any
 from benchmarks.shared.results import Report, overrides
 from ursnav_torch.errors import InputError
 
-SETTINGS = {"rooms": "", "only": "", "keep": False, "out": ""}
+SETTINGS = {"rooms": "", "only": "", "keep": False, "workers": 0, "out": ""}
 ROOT = Path(__file__).parents[1]
 PLAN = Path(__file__).with_suffix(".toml")
 #: Share of the faults that must be noticed.
@@ -177,7 +179,7 @@ def main(arguments: list[str]) -> None:
         importlib.import_module(name)
     report = Report("mutants", {"rooms": settings["rooms"], "only": settings["only"]})
     with tempfile.TemporaryDirectory() as scratch:
-        share = _try_all(chosen, Path(scratch), report, settings["keep"])
+        share = _try_all(chosen, Path(scratch), report, settings["workers"] or os.cpu_count() or 1, settings["keep"])
     print(report.table())
     whole = not rooms and not settings["only"]
     if settings["out"] or whole:
@@ -185,35 +187,89 @@ def main(arguments: list[str]) -> None:
     sys.exit(0 if share >= NEEDED else 1)
 
 
-def _try_all(mutants: Sequence[Mutant], scratch: Path, report: Report, keep: bool) -> float:
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """What tests said: pytest's exit code, after how many seconds, and the end of its words."""
+
+    code: int
+    seconds: float
+    said: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Bench:
+    """A worker's own copy of the checkout, with what its tests say and the small VID that they share."""
+
+    folder: Path
+
+    @classmethod
+    def set_up(cls, scratch: Path) -> "_Bench":
+        """A new copy."""
+        bench = cls(scratch / str(os.getpid()))
+        bench.root.mkdir(parents=True)
+        for name in _COPIED:
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, bench.root / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy2(ROOT / name, bench.root / name)
+        return bench
+
+    @property
+    def root(self) -> Path:
+        """The copy."""
+        return self.folder / "copy"
+
+    def run(self, tests: Sequence[str], room: str = "", limited: bool = True) -> _Tried:
+        """Run tests there; the VID is built anew where a fault in the room changes what it holds."""
+        begun, log = time.monotonic(), self.folder / "log.txt"
+        vid = "" if room in _BUILD_ANEW else str(self.folder / "vid")
+        code = run_tests(self.root, tests, log, vid, limited)
+        return _Tried(code, time.monotonic() - begun, log.read_text()[-4000:])
+
+
+_bench: _Bench
+
+
+def _start_worker(scratch: Path) -> None:
+    global _bench
+    _bench = _Bench.set_up(scratch)
+
+
+def _try_without(test: str) -> _Tried:
+    """A test in the code as it is."""
+    return _bench.run([test], limited=False)
+
+
+def _try_with(mutant: Mutant) -> _Tried:
+    """A fault's tests, with the fault."""
+    original = _bench.root / "ursnav_torch" / mutant.file
+    shutil.copy2(original, _bench.folder / "original")
+    plant(mutant, _bench.root)
+    try:
+        return _bench.run(mutant.tests, mutant.room)
+    finally:
+        shutil.copy2(_bench.folder / "original", original)
+
+
+def _try_all(mutants: Sequence[Mutant], scratch: Path, report: Report, workers: int, keep: bool) -> float:
     """Rows for the report, and the share of the faults that were noticed."""
-    root, log, vid = scratch / "copy", scratch / "log.txt", str(scratch / "vid")
-    root.mkdir()
-    for name in _COPIED:
-        if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
-        else:
-            shutil.copy2(ROOT / name, root / name)
-    begun = time.monotonic()
-    if run_tests(root, sorted({test for m in mutants for test in m.tests}), log, vid, limited=False) != _PASSED:
-        raise InputError(f"The tests do not pass without any fault:\n{log.read_text()[-4000:]}")
-    print(f"without any fault: passed in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
-    killed = dict.fromkeys((m.name for m in mutants), False)
-    for m in mutants:
-        begun, original = time.monotonic(), root / "ursnav_torch" / m.file
-        shutil.copy2(original, scratch / "original")
-        plant(m, root)
-        code = run_tests(root, m.tests, log, "" if m.room in _BUILD_ANEW else vid)
-        shutil.copy2(scratch / "original", original)
-        if code > _FAILED:
-            raise InputError(f"{m.name}: the tests did not run (code {code}):\n{log.read_text()[-4000:]}")
-        killed[m.name], spent = code != _PASSED, time.monotonic() - begun
-        word = "killed" if killed[m.name] else f"SURVIVED {m.why}".strip()
-        print(f"{m.room}: {m.name}: {word}, {spent:.0f} s", file=sys.stderr, flush=True)
-        if keep:
-            print(log.read_text()[-4000:], file=sys.stderr)
-        report.add(m.room, m.name, "killed", [float(killed[m.name])], f"{m.file}; {word}")
-    share = sum(killed.values()) / len(killed)
+    tests, begun = sorted({test for m in mutants for test in m.tests}), time.monotonic()
+    with multiprocessing.get_context("fork").Pool(workers, _start_worker, (scratch,)) as pool:
+        for test, tried in zip(tests, pool.imap(_try_without, tests), strict=True):
+            if tried.code != _PASSED:
+                raise InputError(f"{test} does not pass without any fault:\n{tried.said}")
+        print(f"without any fault: passed in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+        killed = []
+        for m, tried in zip(mutants, pool.imap(_try_with, mutants), strict=True):
+            if tried.code > _FAILED:
+                raise InputError(f"{m.name}: the tests did not run (code {tried.code}):\n{tried.said}")
+            killed.append(tried.code != _PASSED)
+            word = "killed" if killed[-1] else f"SURVIVED {m.why}".strip()
+            print(f"{m.room}: {m.name}: {word}, {tried.seconds:.0f} s", file=sys.stderr, flush=True)
+            if keep:
+                print(tried.said, file=sys.stderr)
+            report.add(m.room, m.name, "killed", [float(killed[-1])], f"{m.file}; {word}")
+    share = sum(killed) / len(killed)
     report.add("all rooms", "faults noticed", "%", [100 * share], f"at least {NEEDED:.0%} are needed", len(killed))
     return share
 
