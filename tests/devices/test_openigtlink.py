@@ -1,6 +1,7 @@
 """OpenIGTLink: golden checks, pyigtl as second opinion, and the tracker over a real socket."""
 
 import contextlib
+import json
 import socket
 import threading
 import time
@@ -12,7 +13,7 @@ from dialogue import wait_until
 from fastcrc import crc64
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.devices import OpenIgtlServer, OpenIgtlTracker, SlicerOutput
+from ursnav_torch.devices import Frame, OpenIgtlServer, OpenIgtlTracker, SlicerOutput, Stamp
 from ursnav_torch.devices.igtl.messages import (
     HEADER,
     TOOL_5D,
@@ -26,6 +27,8 @@ from ursnav_torch.devices.igtl.messages import (
     unpack_tracking_data,
     unpack_transform,
 )
+from ursnav_torch.devices.igtl.server import _messages
+from ursnav_torch.devices.igtl.shown import pack_image, pack_string, pixels_before_camera
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.simulation.igtl_tracker import SimulatedIgtlTracker
@@ -199,10 +202,102 @@ def test_the_localized_pose_reaches_slicers_client():
         try:
             assert wait_until(lambda: output.publish_pose(T, 1234.5) or client.incoming_messages, 1.0)
             message = client.wait_for_message("CameraToKidney", timeout=1.0)
-            np.testing.assert_allclose(message.matrix, T, atol=1e-4)
+            np.testing.assert_allclose(message.matrix, np.diag([-1, -1, 1, 1]) @ T, atol=1e-4)
             assert message.timestamp == 1234.5
         finally:
             client.stop()
+
+
+def test_a_kidney_in_ras_is_where_slicers_world_has_it():
+    with SlicerOutput(port=0, kidney_frame="ras") as output, stream(output) as messages:
+        assert wait_until(lambda: output.publish_pose(T, 1.0) or messages, 1.0)
+        np.testing.assert_allclose(unpack_transform(messages[0].content).position_mm, T[:3, 3], atol=1e-4)
+    with pytest.raises(InputError, match="accepted are lps and ras"):
+        SlicerOutput(kidney_frame="xyz")
+
+
+@contextlib.contextmanager
+def stream(output):
+    """Messages that a client of an output gets, read by our own reader of bytes, as they come."""
+    messages, end = [], threading.Event()
+
+    def run():
+        pending = bytearray()
+        with socket.create_connection(("127.0.0.1", output.port)) as client:
+            client.settimeout(0.02)
+            while not end.is_set():
+                with contextlib.suppress(TimeoutError):
+                    pending += client.recv(1 << 16)
+                    messages.extend(_messages(pending))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield messages
+    finally:
+        end.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("shape", [(30, 41), (31, 40, 3)])
+def test_pictures_reach_slicers_client_pixel_by_pixel_at_their_place(shape):
+    pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
+    picture = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
+    with SlicerOutput(port=0, picture_mm=8.0) as output:
+        client = pyigtl.OpenIGTLinkClient(port=output.port)
+        try:
+            frame = Frame(Stamp(0, 1.0, 1234.5), picture)
+            assert wait_until(lambda: output.publish_image(frame) or client.incoming_messages, 5.0)
+            message = client.wait_for_message("ScopePicture", timeout=5.0)
+        finally:
+            client.stop()
+    sent = picture if picture.ndim == 2 else picture[..., ::-1]  # red, green, blue
+    np.testing.assert_array_equal(np.squeeze(message.image), sent)
+    height, width = shape[:2]
+    middle = message.ijk_to_world_matrix @ [(width - 1) / 2, (height - 1) / 2, 0, 1]
+    np.testing.assert_allclose(middle[:3], [0, 0, 8.0], atol=1e-5)
+    np.testing.assert_allclose(message.ijk_to_world_matrix[:3, :2] * width / 8.0, np.eye(3)[:, :2], atol=1e-5)
+
+
+def test_coverage_reaches_slicers_client_as_text_even_one_that_comes_later():
+    pyigtl = pytest.importorskip("pyigtl", reason="the second opinion is not installed")
+    with SlicerOutput(port=0) as output:
+        output.publish_coverage({"Ä": ("inspected", 0.91)}, 1.0)
+        client = pyigtl.OpenIGTLinkClient(port=output.port)
+        try:
+            assert json.loads(client.wait_for_message("Coverage", timeout=5.0).string) == {"Ä": ["inspected", 0.91]}
+        finally:
+            client.stop()
+
+
+def test_pictures_larger_than_any_buffer_arrive_whole_with_poses_between_them():
+    picture = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
+    with SlicerOutput(port=0) as output, stream(output) as messages, does_not_hang(60.0):
+        while sum(m.kind == "IMAGE" for m in messages) < 3 or sum(m.kind == "TRANSFORM" for m in messages) < 20:
+            output.publish_image(Frame(Stamp(0, 1.0, 2.0), picture))
+            output.publish_pose(T, 2.0)
+            time.sleep(0.01)
+    contents = {m.content for m in messages if m.kind == "IMAGE"}
+    assert contents == {pack_image(picture, pixels_before_camera(1920, 1080, 10.0))}
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((3, 4), np.float32),
+        np.zeros((3, 4, 2), np.uint8),
+        np.zeros((1, 70_000), np.uint8),
+        np.zeros((0, 4), np.uint8),
+    ],
+)
+def test_what_is_no_picture_is_refused(picture):
+    with pytest.raises(InputError, match=r"A picture is uint8 \(H, W\) or \(H, W, 3\), got"):
+        pack_image(picture, np.eye(4))
+
+
+def test_a_text_too_long_for_its_message_is_refused():
+    with pytest.raises(InputError, match="does not fit into a STRING"):
+        pack_string("ä" * 40_000)
 
 
 def test_clients_that_leave_or_do_not_read_hold_nobody_up():

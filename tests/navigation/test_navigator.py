@@ -1,5 +1,7 @@
 """The loop: pictures in, states out."""
 
+import itertools
+import json
 import time
 from dataclasses import replace
 
@@ -44,6 +46,10 @@ def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer)
     assert len(rows) == 24 == navigator.located and navigator.results() == []
     last = rows[-1]
     assert last["calyx"] == vid.calyx_name(0) and last["accepted"]
+    told = [json.loads(row["coverage"]) for row in rows if "coverage" in row]
+    assert 0 < len(told) < len(rows) and all(a != b for a, b in itertools.pairwise(told)), "told when it changes"
+    assert told[-1].keys() == {c.name for c in vid.kidney.calyces}
+    assert told[-1][vid.calyx_name(0)][1] > told[0][vid.calyx_name(0)][1] == 0.0
     assert 0 <= last["waiting_s"] <= last["latency_s"] and last["tracking_s"] <= last["latency_s"]
     assert np.allclose([last["x_mm"], last["y_mm"], last["z_mm"]], state.T_kidney_camera[:3, 3])
     assert navigator.bus.latest().ended

@@ -1,6 +1,7 @@
 """`export`: what each format needs, what it writes, and what it refuses."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,9 @@ def test_slicer_gets_all_there_is(run: Any, vid: Vid, track: Path, tmp_path: Pat
     assert sorted(p.name for p in out.iterdir()) == [
         "calyces.mrk.json", "em_to_kidney.tfm", "kidney.stl", "landmarks.mrk.json", "path.mrk.json"
     ]  # fmt: skip
+    module = Path(__file__).parents[2] / "integrations/slicer/UrsnavLive/UrsnavLiveLib/exported.py"
+    loads = re.findall(r'^    "(\S+)": "', module.read_text(), re.M)
+    assert {p.name for p in out.iterdir()} <= set(loads), "the module for Slicer loads every file"
     assert b"SPACE=RAS" in (out / "kidney.stl").read_bytes()[:80]
     (curve,) = curves_of(read_markups(out / "path.mrk.json"))
     np.testing.assert_allclose(curve[0], vid.T_kidney_camera[0, :3, 3] * [-1, -1, 1], atol=1e-3)

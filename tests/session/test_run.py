@@ -255,7 +255,7 @@ class Shown(Output):
 
     def __init__(self):
         super().__init__()
-        self.poses, self.images, self.joints = [], [], []
+        self.poses, self.images, self.joints, self.coverage = [], [], [], []
 
     def _open(self): ...
     def _close(self): ...
@@ -268,13 +268,17 @@ class Shown(Output):
     def publish_joints(self, joints, t_wall_s):
         self.joints.append(joints)
 
+    def publish_coverage(self, coverage, t_wall_s):
+        self.coverage.append(coverage)
 
-def test_other_programs_are_shown_pictures_joints_and_accepted_poses():
+
+def test_other_programs_are_shown_pictures_joints_coverage_and_accepted_poses():
     shown = Shown()
 
     def locate(frame, tracker):
         pose = {"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.6, "qz": 0.0, "qw": 0.8}
-        return pose | {"accepted": frame.stamp.sequence % 2 == 0}
+        news = {"coverage": '{"A": ["glimpsed", 0.2]}'} if frame.stamp.sequence == 3 else {}
+        return pose | {"accepted": frame.stamp.sequence % 2 == 0} | news
 
     def build(world):
         return replace(make_rig(), output=shown)
@@ -284,6 +288,7 @@ def test_other_programs_are_shown_pictures_joints_and_accepted_poses():
     assert len(shown.images) == summary.counts["Frame"] and len(shown.joints) == summary.counts["RobotSample"]
     assert len(shown.poses) == (summary.counts["Result"] + 1) // 2
     np.testing.assert_allclose(shown.poses[0][:3, 3], [1, 2, 3])
+    assert shown.coverage == [{"A": ["glimpsed", 0.2]}]
     assert not shown.is_connected
 
 

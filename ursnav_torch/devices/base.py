@@ -3,7 +3,7 @@
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -286,3 +286,6 @@ class Output(Device):
 
     def publish_joints(self, joints: Joints, t_wall_s: float) -> None:
         """Show where the robot stands."""
+
+    def publish_coverage(self, coverage: Mapping[str, tuple[str, float]], t_wall_s: float) -> None:
+        """Show how much of every calyx was seen: verdict and share by its name."""

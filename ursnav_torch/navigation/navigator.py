@@ -1,5 +1,6 @@
 """The loop: pictures in, poses, coverage and the way on out; every stage in a thread of its own, newest first."""
 
+import json
 import logging
 import threading
 import time
@@ -90,6 +91,7 @@ class Navigator:
         self._seen: Newest[_Seen] = Newest()
         self._poses: Newest[tuple[Array | None, float]] = Newest()  # pose and the picture's time
         self._reading: SensorReading | None = None
+        self._told_coverage = ""
         self._results: deque[Result] = deque(maxlen=1000)
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
         self._given = self._finished = 0
@@ -251,7 +253,8 @@ class Navigator:
         self.bus.update(change)
         self.located, self._published_s = self.located + 1, now
         self.latencies.append(latency)
-        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, _row(job, tracked, name, latency, level)))
+        row = _row(job, tracked, name, latency, level) | self._news_of_coverage()
+        self._results.append(Result(self._stamp(), job.frame.stamp.sequence, row))
         new_level = self._governor.observe(latency.total_s)
         if new_level != level:
             self.tracker.ease(new_level)
@@ -259,6 +262,15 @@ class Navigator:
         if now - self._logged_s >= LOG_S:
             self._logged_s = now
             _log(job.frame.stamp.sequence, latency)
+
+    def _news_of_coverage(self) -> dict[str, str]:
+        """Verdict and share of every calyx as JSON, where they differ from what was last told; else nothing."""
+        found = {c.calyx: [c.verdict, round(c.share, 2)] for c in self.bus.latest().guidance.coverage}
+        text = json.dumps(found, ensure_ascii=False)
+        if not found or text == self._told_coverage:
+            return {}
+        self._told_coverage = text
+        return {"coverage": text}
 
     def _paint(self) -> None:
         """Count what was seen and find the way on, as often as there is time."""

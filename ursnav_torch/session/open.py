@@ -1,6 +1,7 @@
 """Opening a session: devices or a record connected, recorder and other programs attached, signals heard."""
 
 import contextlib
+import json
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -129,7 +130,7 @@ def ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
 
 
 def publish(output: Output, event: Event) -> None:
-    """Show an event to another program: pictures, joints, and the pose in a result's row that was accepted."""
+    """Show an event to another program: pictures, joints, the pose of a row that was accepted, coverage."""
     if isinstance(event, Frame):
         output.publish_image(event)
     elif isinstance(event, RobotSample):
@@ -137,3 +138,5 @@ def publish(output: Output, event: Event) -> None:
     elif isinstance(event, Result) and event.row.get("accepted") and event.row.get("x_mm") is not None:
         values = [float(event.row[name]) for name in POSE_COLUMNS]
         output.publish_pose(transform_from_quaternion(values[:3], values[3:]), event.stamp.t_wall_s)
+    if isinstance(event, Result) and "coverage" in event.row:
+        output.publish_coverage(json.loads(event.row["coverage"]), event.stamp.t_wall_s)
