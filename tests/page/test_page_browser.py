@@ -22,13 +22,13 @@ from ursnav_torch.vid import read_views
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")]
 
 
 @pytest.fixture(scope="module")
-def page(vid, renderer, phantom_lumen):
+def page(vid, renderer):
     """The page of a running session, without a browser yet."""
     hardware = partial(
         build_rig,
@@ -36,7 +36,7 @@ def page(vid, renderer, phantom_lumen):
         robot=partial(SimulatedGrblRobot, deadline_s=5.0),
         light=partial(RobotLight),
         gamepad=partial(TwinPilot, rounds=0),
-        twin=partial(make_twin, lumen=phantom_lumen),
+        twin=make_twin,
     )
     pages, ready = [], threading.Event()
 
