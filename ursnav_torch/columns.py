@@ -6,10 +6,15 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VIEW_COLUMNS = ("view", "calyx", *POSE_COLUMNS)
 #: Poses as the thesis's Unity scene wrote them: left-handed, meters.
 UNITY_COLUMNS = ("x_unity", "y_unity", "z_unity", "qx", "qy", "qz", "qw")
+#: How sure an answer is: the calyces it may be, names joined by ``|``, and what two of three errors are within.
+SURE_COLUMNS = ("calyces", "position_sd_mm", "direction_sd_deg")
 #: What `match` writes.
-MATCH_COLUMNS = ("image", "calyx", *POSE_COLUMNS, "view", "distance", "confidence", "accepted", "seconds", "error")
+MATCH_COLUMNS = (
+    *("image", "calyx", *POSE_COLUMNS, "view", "distance", "confidence", "accepted", "seconds", "error"),
+    *SURE_COLUMNS,
+)
 #: What `track` writes.
-TRACK_COLUMNS = ("frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds")
+TRACK_COLUMNS = ("frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds", *SURE_COLUMNS)
 #: True poses of pictures.
 TRUTH_COLUMNS = ("image", "calyx", *POSE_COLUMNS)
 #: An EM sensor's position and axis in the EM frame; ``frame`` or ``image`` and ``t_s`` stand before them where known.

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.localization.learn import NONE_SHARE, learn_confidence, simulated_queries
+from ursnav_torch.localization.evidence import NUMBERS, REFINED_NUMBERS, Evidence
+from ursnav_torch.localization.fitting import NOTHING
+from ursnav_torch.localization.learn import NONE_SHARE, ask, learn_confidence, simulated_queries
+from ursnav_torch.localization.learned import asked_from_table
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings, Vid, plan_views
 
 PLAN = PlanSettings(views_per_calyx=2, passage_views=2, seed=5)
-NUMBERS = 7
 
 
 class AlwaysFirst:
-    """Answers calyx 0 to everything, voting for calyx 1; its numbers tell nothing."""
-
-    refines = True
+    """Answers calyx 0 to everything from where the kidney's frame begins; its numbers tell nothing."""
 
     def __init__(self, vid: Vid, *_: Any) -> None:
-        self._rng = np.random.default_rng(0)
+        self.vid = vid
 
     def features(self, image: np.ndarray) -> np.ndarray:
         return image
@@ -31,7 +31,17 @@ class AlwaysFirst:
         return "always the first"
 
     def judge(self, features: np.ndarray) -> SimpleNamespace:
-        return SimpleNamespace(numbers=self._rng.normal(size=NUMBERS), calyx=0, voted=1)
+        calyces = len(self.vid.kidney.calyces) + 1
+        nearest = Evidence(1, np.full(len(NUMBERS) - REFINED_NUMBERS, 0.5), np.ones((calyces, 2)))
+        return SimpleNamespace(
+            evidence=Evidence(0, np.ones(len(NUMBERS)), np.ones((calyces, 5))), nearest=nearest, calyx=0
+        )
+
+    def pose(self, _: SimpleNamespace) -> np.ndarray:
+        return np.eye(4)
+
+    def nearest_pose(self, _: SimpleNamespace) -> np.ndarray:
+        return np.eye(4)
 
 
 @dataclass(frozen=True)
@@ -78,8 +88,20 @@ def test_what_is_counted_right_is_the_answer_and_pictures_of_nothing_never_are(v
     assert counts.sum() == asked == counts[:, 0].sum()  # calyx 0 was the answer to all, nothing is no row
     assert 2 <= found["right"] == counts[0, 0] < 5
     assert found["confidence"]["settings"] == "always the first"
-    assert len(found["confidence"]["refined"]) == 1 + NUMBERS
-    assert len(found["confidence"]["nearest"]) == 1 + NUMBERS - 2
+    refined, nearest = (asked_from_table(found["confidence"]["pictures"], way) for way in (True, False))
+    assert refined.answer.tolist() == [0] * found["queries"] and nearest.answer.tolist() == [1] * found["queries"]
+    nothing = np.isnan(refined.position_mm)
+    assert nothing.sum() == round(NONE_SHARE * asked) and (refined.shown[nothing] == NOTHING).all()
+    assert int(refined.right.sum()) == found["right"]
+
+
+def test_errors_are_from_the_true_pose_in_anatomy(vid: Vid) -> None:
+    query = next(iter(simulated_queries(vid, RaycastRenderer, PLAN, np.random.default_rng(1))))
+    row = ask(AlwaysFirst(vid), [query], lambda n: None)[0]  # type: ignore[arg-type]
+    T = query.T_kidney_camera
+    assert row["refined"][1] == pytest.approx(np.linalg.norm(T[:3, 3]) / vid.kidney.scale)
+    assert row["refined"][2] == pytest.approx(np.degrees(np.arccos(T[2, 2]))) == row["nearest"][2]
+    assert row["far"] == pytest.approx(vid.lumen.to_calyces(T[:3, 3])[0, query.calyx])
 
 
 def test_queries_show_the_calyx_they_say_at_the_pose_they_say(vid: Vid, phantom_lumen: LumenDistance) -> None:

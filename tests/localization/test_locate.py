@@ -49,7 +49,7 @@ def test_a_view_is_found_where_it_stands(localizer: Localizer, vid: Vid, picture
     assert found.calyx_name == vid.calyx_name(found.calyx)
     assert found.distance == found.candidates[0].distance and 0 <= found.confidence <= 1
     assert len({c.view for c in found.candidates}) == len(found.candidates) == 5
-    assert found.accepted == (found.confidence >= localizer.settings.accept)
+    assert found.accepted == (found.confidence >= localizer.threshold)
     assert np.linalg.norm(found.T_kidney_camera[:3, 3] - vid.T_kidney_camera[3][:3, 3]) < 0.5
     assert np.degrees(rotation_angle(found.T_kidney_camera, vid.T_kidney_camera[3])) < 2
 

@@ -79,9 +79,7 @@ def test_the_whole_error_on_demand(end: Any, monkeypatch: pytest.MonkeyPatch, tm
         runner("match")(fails(InputError("cracked")))()
 
 
-@pytest.mark.parametrize(
-    "override", ["nonsense", "no_such_key=1", "matching=magic", "localization.accept=[", "--wrong"]
-)
+@pytest.mark.parametrize("override", ["nonsense", "no_such_key=1", "matching=magic", "localization.risk=[", "--wrong"])
 def test_wrong_usage(end: Any, override: str) -> None:
     code, _, err = end(lambda config: None, override)
     assert code == 2 and "Traceback" not in err and err

@@ -15,6 +15,8 @@ from ursnav_torch.tracking.pursuit import Pursuit, Weighed
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
+#: Drawing, start and hypotheses tried: nothing here looks at them.
+NOT_ASKED = (None, None, None, None)
 HERE = look_along(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 THERE = look_along(np.array([30.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
 FAR = look_along(np.array([0.0, 40.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -31,7 +33,7 @@ class Scores:
         self.asked.append(list(candidates))
         scores = [self._score(T) for T in candidates]
         best = int(np.argmax(scores))
-        return Refined(candidates[best], scores[best], best, 1, AT_CAMERA, None)  # type: ignore[arg-type]
+        return Refined(candidates[best], scores[best], best, 1, AT_CAMERA, *NOT_ASKED)  # type: ignore[arg-type]
 
     def _score(self, T: np.ndarray) -> float:
         for place, score in ((HERE, self.here), (THERE, self.there)):
@@ -85,8 +87,8 @@ def test_where_the_last_step_led_is_tried_first() -> None:
     pursuit.follow(picture(ahead_by(HERE, 1.0), FAR), anew=True)
     scores.asked.clear()
     pursuit._incumbent = type(pursuit._incumbent)(  # as if the scope had gone on by a millimeter in this picture
-        Refined(ahead_by(HERE, 1.0), 0.8, 0, 1, AT_CAMERA, None),  # type: ignore[arg-type]
-        Refined(HERE, 0.8, 0, 1, AT_CAMERA, None),  # type: ignore[arg-type]
+        Refined(ahead_by(HERE, 1.0), 0.8, 0, 1, AT_CAMERA, *NOT_ASKED),  # type: ignore[arg-type]
+        Refined(HERE, 0.8, 0, 1, AT_CAMERA, *NOT_ASKED),  # type: ignore[arg-type]
     )
     pursuit.follow(picture(ahead_by(HERE, 1.0), FAR), anew=False)
     np.testing.assert_allclose(scores.asked[0][0], ahead_by(HERE, 2.0), atol=1e-9)

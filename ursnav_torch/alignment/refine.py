@@ -65,6 +65,9 @@ class Refined:
         iterations: steps taken in all, over all hypotheses.
         light: (5,) the light found, see `align_light.AT_CAMERA`; a start for the next picture of the same scope.
         drawing: the kidney drawn close to that pose, at the finer size.
+        T_start: (4, 4) the candidate that it came from.
+        tried: (H, 4, 4) every hypothesis after the coarse round, best first; ``tried_scores`` (H,) theirs, on the
+            coarser grid.
     """
 
     T_kidney_camera: Array
@@ -73,6 +76,9 @@ class Refined:
     iterations: int
     light: Array
     drawing: Drawing
+    T_start: Array
+    tried: Array
+    tried_scores: Array
 
 
 class Refiner:
@@ -126,7 +132,7 @@ class Refiner:
         start = AT_CAMERA if light is None else np.asarray(light, float)
         tried = candidates[: self.settings.hypotheses]
         states = [(i, Aligned(check_rigid(T, "a candidate"), start, -1.0, 0)) for i, T in enumerate(tried)]
-        taken = 0
+        taken, after_coarse = 0, states
         coarse, fine = self._aligners
         for aligner, rounds in ((coarse, 1), (fine, self.settings.fine_rounds)):
             with torch.inference_mode():
@@ -134,10 +140,14 @@ class Refiner:
             for _ in range(rounds):
                 states = [(i, self._once(aligner, picture, state, light_known)) for i, state in states]
                 taken += sum(state.iterations for _, state in states)
+                after_coarse = states if aligner is coarse else after_coarse
                 states = _better_half(states, prior)
         i, best = states[0]
         assert best.drawing is not None
-        return Refined(best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
+        ends = sorted((state for _, state in after_coarse), key=lambda state: -state.score)
+        poses, scores = np.stack([end.T_kidney_camera for end in ends]), np.array([end.score for end in ends])
+        found = (best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
+        return Refined(*found, np.asarray(tried[i], float), poses, scores)
 
     def score(self, features: Features, refined: Refined) -> float:
         """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""

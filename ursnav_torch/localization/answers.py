@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.alignment import Refined
 from ursnav_torch.features import Features
+from ursnav_torch.localization.evidence import Evidence
 from ursnav_torch.search import Ranking
 
 Array = NDArray[np.float64]
@@ -39,6 +40,10 @@ class Location:
         distance: its distance.
         confidence: calibrated probability that ``calyx`` is right; nan where none was learned with these settings.
         accepted: false when the system would rather say "unsure".
+        calyces: names of the smallest set that holds the right calyx with the probability asked for, ``none`` in it
+            when the picture may show no calyx, the answer first; empty where nothing was learned.
+        position_sd_mm, direction_sd_deg: two of three errors are within these; nan where nothing was learned.
+        novelty: how unlike anything learned from the picture looks, see `Certainty`; nan likewise.
         candidates: the best views, best first.
         features: what was seen in the picture.
         seconds: from picture to pose.
@@ -51,6 +56,10 @@ class Location:
     distance: float
     confidence: float
     accepted: bool
+    calyces: tuple[str, ...]
+    position_sd_mm: float
+    direction_sd_deg: float
+    novelty: float
     candidates: tuple[Candidate, ...]
     features: Features
     seconds: float
@@ -65,7 +74,8 @@ class Judgement:
         calyces: (K,) calyx observed from there, -1 for none.
         calyx: the answer.
         voted: the calyx that the nearest views vote for.
-        numbers: what confidence is computed from, see `confidence.Evidence`.
+        nearest: what the nearest views alone say of ``voted``.
+        evidence: what certainty of ``calyx`` is computed from; with the alignment's numbers where there was one.
         refined: the refined pose, None where refinement is off.
         believed: whether its drawing fits well enough to say which place it is.
     """
@@ -74,6 +84,7 @@ class Judgement:
     calyces: NDArray[np.int64]
     calyx: int
     voted: int
-    numbers: Array
+    nearest: Evidence
+    evidence: Evidence
     refined: Refined | None
     believed: bool

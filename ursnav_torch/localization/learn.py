@@ -1,7 +1,9 @@
 """Learning how far answers can be trusted, from simulated pictures of the very kidney, when its VID is built."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,14 +11,20 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.files import Progress, no_progress
+from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization.ambiguity import find_look_alikes
-from ursnav_torch.localization.confidence import REFINED_NUMBERS, fit
+from ursnav_torch.localization.fitting import NOTHING
+from ursnav_torch.localization.learned import evidence_table
 from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.rendering import WarpSettings, deform_mesh
-from ursnav_torch.rendering.sensor import PRESETS, draw_faults, none_pictures, simulate
+from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset, draw_faults, none_pictures, simulate
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
 
+Array = NDArray[np.float64]
+
+#: Kinds of pictures that certainty is learned from.
+LEARNED_FROM: Mapping[str, Preset] = MappingProxyType({**PRESETS, "wide": WIDE})
 #: Share of pictures that show no calyx among those learned from.
 NONE_SHARE = 0.5
 #: Pictures drawn in one state of a moved and swollen kidney.
@@ -30,7 +38,7 @@ class Query:
     Attributes:
         image: (H, W, 3) uint8, blue, green, red.
         T_kidney_camera: (4, 4); nan for a picture of nothing.
-        calyx: index of the calyx observed, -1 for none.
+        calyx: index of the calyx observed, -1 for none, `NOTHING` for a picture of nothing.
         preset: which faults it was drawn with, or "none".
     """
 
@@ -41,25 +49,30 @@ class Query:
 
 
 def simulated_queries(
-    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, rng: np.random.Generator
+    vid: Vid,
+    make_renderer: MakeRenderer,
+    plan: PlanSettings,
+    rng: np.random.Generator,
+    presets: Mapping[str, Preset] = PRESETS,
 ) -> Iterator[Query]:
     """A picture from every pose of a plan, the presets of sensor faults taking turns.
 
-    ``in_vivo_like`` pictures are drawn in a kidney that has moved and swollen since the scan; their pose is the one
-    relative to the wall around.
+    Pictures of all but the thesis's presets are drawn in a kidney that has moved and swollen since the scan; their pose
+    is the one relative to the wall around.
     """
     views = plan_views(vid.kidney, vid.lumen, plan)
-    renderer, names = make_renderer(vid.kidney.mesh, vid.camera), list(PRESETS)
+    renderer, names, moved_pictures = make_renderer(vid.kidney.mesh, vid.camera), list(presets), 0
     for i, (T, calyx) in enumerate(zip(views.T_kidney_camera, views.calyx, strict=True)):
         name = names[i % len(names)]
-        faults = draw_faults(PRESETS[name], rng)
-        if name != "in_vivo_like":
+        faults = draw_faults(presets[name], rng)
+        if name.startswith("thesis"):
             yield Query(simulate(renderer, T, faults, rng), T, int(calyx), name)
             continue
-        if i // len(names) % PICTURES_A_WARP == 0:
+        if moved_pictures % PICTURES_A_WARP == 0:
             warp = WarpSettings(amplitude_mm=rng.uniform(0.5, 2.0), distension=rng.uniform(0.0, 0.1))
             moved = deform_mesh(vid.kidney.mesh, warp, rng)
             inside = make_renderer(moved.mesh, vid.camera)
+        moved_pictures += 1
         yield Query(simulate(inside, moved.carry(T), faults, rng), T, int(calyx), name)
 
 
@@ -71,7 +84,7 @@ def learn_confidence(
     progress: Progress = no_progress,
     make_localizer: Callable[[Vid], Localizer] = Localizer,
 ) -> dict[str, object]:
-    """Locate simulated pictures from poses that are no views, and fit confidence to what came out.
+    """Locate simulated pictures from poses that are no views, and keep what was known of each, to fit certainty to.
 
     Args:
         vid: the views, already with features.
@@ -82,49 +95,65 @@ def learn_confidence(
         make_localizer: with the settings that pictures will be located with; confidence holds for them alone.
 
     Returns:
-        Plain data for `Confidence.from_calibration`.
+        Plain data for `certainty_model`.
     """
     rng = np.random.default_rng(plan.seed + 1)
     alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
     localizer = make_localizer(vid)
-    lumen = vid.lumen
-    found, shown, far = [], [], []
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
-    with torch.inference_mode(), one_thread_an_operation(), progress(total, "pictures to learn from") as advance:
-        for image, calyx, T in _pictures(vid, make_renderer, alike, rng):
-            advance(1)
-            try:
-                features = localizer.features(image)
-            except FeatureError:
-                continue
-            judged = localizer.judge(features)
-            found.append((judged.numbers, judged.calyx, judged.voted))
-            shown.append(calyx)
-            far.append(lumen.to_calyces(T[:3, 3])[0, calyx] if calyx >= 0 else np.nan)
-    numbers, answered, voted = (np.array(column) for column in zip(*found, strict=True))
-    nearest = numbers[:, :-REFINED_NUMBERS] if localizer.refines else numbers
-    right = np.array(shown) == answered
-    look_alikes = find_look_alikes(np.array(shown), answered, np.array(far), len(vid.kidney.calyces))
+    with progress(total, "pictures to learn from") as advance:
+        rows = ask(localizer, _pictures(vid, make_renderer, alike, rng), advance)
+    shown, answered = (np.array([row[key] for row in rows], np.int64) for key in ("shown", "answered"))
+    far = np.array([row["far"] for row in rows])
+    look_alikes = find_look_alikes(shown, answered, far, len(vid.kidney.calyces))
     return {
-        "confidence": {
-            "settings": localizer.evidence_settings(),
-            "refined": list(fit(numbers, right).weights),
-            "nearest": list(fit(nearest, np.array(shown) == voted).weights),
-        },
-        "queries": len(right),
-        "right": int(right.sum()),
+        "confidence": {"settings": localizer.evidence_settings(), "pictures": evidence_table(rows)},
+        "queries": len(rows),
+        "right": int((shown == answered).sum()),
         "look_alikes": look_alikes.to_dict(),
     }
 
 
-def _pictures(
-    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.uint8], int, NDArray[np.float64]]]:
-    """Pictures, the calyx each shows and its pose; -2, which no answer equals, for pictures of nothing."""
+def ask(localizer: Localizer, queries: Iterable[Query], advance: Callable[[int], None]) -> list[dict[str, Any]]:
+    """A row for `evidence_table` of every picture that can be located, and ``answered``, ``kind`` and ``far``, the way
+    in mm from the shown calyx's tip; ``advance`` is called with 1 after each."""
+    vid, rows = localizer.vid, []
+    with torch.inference_mode(), one_thread_an_operation():
+        for query in queries:
+            advance(1)
+            try:
+                found = localizer.judge(localizer.features(query.image))
+            except FeatureError:
+                continue
+            T, scale = query.T_kidney_camera, vid.kidney.scale
+            ways = {
+                "refined": (found.evidence, *_errors(localizer.pose(found), T, scale)),
+                "nearest": (found.nearest, *_errors(localizer.nearest_pose(found), T, scale)),
+            }
+            far = float(vid.lumen.to_calyces(T[:3, 3])[0, query.calyx]) if query.calyx >= 0 else np.nan
+            rows.append(ways | {"shown": query.calyx, "answered": found.calyx, "kind": query.preset, "far": far})
+    return rows
+
+
+def _errors(T: Array, T_true: Array, scale: float) -> tuple[float | None, float | None]:
+    """How far off a pose is, mm at scale 1 and degrees; None where there is no truth."""
+    if not np.isfinite(T_true).all():
+        return None, None
+    turned = np.degrees(angle_between(T[:3, 2], T_true[:3, 2]))
+    return float(np.linalg.norm(T[:3, 3] - T_true[:3, 3])) / scale, float(turned)
+
+
+def _pictures(vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, rng: np.random.Generator) -> Iterator[Query]:
+    """Pictures of every kind in turn, then pictures of nothing."""
     count = 0
-    for query in simulated_queries(vid, make_renderer, plan, rng):
+    for query in simulated_queries(vid, make_renderer, plan, rng, LEARNED_FROM):
         count += 1
-        yield query.image, query.calyx, query.T_kidney_camera
+        yield query
+    yield from nothing_queries(vid, make_renderer, rng, round(NONE_SHARE * count))
+
+
+def nothing_queries(vid: Vid, make_renderer: MakeRenderer, rng: np.random.Generator, count: int) -> Iterator[Query]:
+    """Pictures of nothing, whose calyx no answer equals."""
     renderer = make_renderer(vid.kidney.mesh, vid.camera)
-    for image, _ in none_pictures(rng, round(NONE_SHARE * count), renderer, vid.T_kidney_camera):
-        yield image, -2, np.full((4, 4), np.nan)
+    for image, _ in none_pictures(rng, count, renderer, vid.T_kidney_camera):
+        yield Query(image, np.full((4, 4), np.nan), NOTHING, "none")

@@ -7,20 +7,24 @@ import torch
 from numpy.typing import NDArray
 
 from ursnav_torch.alignment import RefinementSettings, Refiner
-from ursnav_torch.features import Features
+from ursnav_torch.features import Features, Settings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location
-from ursnav_torch.localization.confidence import Confidence, evidence, vote_weight
+from ursnav_torch.localization.certainty import Certainty
+from ursnav_torch.localization.evidence import nearest_evidence, refined_evidence, vote, vote_weight
+from ursnav_torch.localization.learned import certainty_model
 from ursnav_torch.localization.settings import LocalizationSettings
 from ursnav_torch.matching import Matching
-from ursnav_torch.search import Ranking, SearchSettings, ViewSearch
+from ursnav_torch.search import Ranking, SearchSettings, ViewSearch, default_matching
 from ursnav_torch.search.pose_mean import NEAR_MM, are_near, mean_pose
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
+#: What a set of calyces has where the picture may show no calyx.
+NONE = "none"
 #: Hypotheses nearer to each other than both of these are one start for refinement; mm at the kidney's scale 1, degrees.
 SAME_START_MM, SAME_START_DEG = 1.5, 20.0
 #: A turn by one degree moves a wall about 9 mm away by as much as this shift does, mm at the kidney's scale 1.
@@ -36,6 +40,9 @@ class Localizer:
         settings: how the place is decided.
         search: how the VID is searched.
         alignment: how poses are refined.
+
+    Attributes:
+        threshold: answers of at least this confidence are accepted, see `LocalizationSettings.risk`.
 
     Example:
         >>> un.Localizer(un.load_vid("my_vid")).locate(image).calyx_name  # doctest: +SKIP
@@ -55,7 +62,8 @@ class Localizer:
         self.search = ViewSearch(vid, search, matching, self._extractor.working_camera)
         able = self.settings.refine and vid.features.maps.shape[1] > 0
         self._refiner = Refiner(vid, alignment) if able else None
-        self._confidence = Confidence.from_calibration(vid.calibration, able, self.evidence_settings())
+        self._certainty = certainty_model(vid.calibration, self.evidence_settings(), able)
+        self.threshold = self._certainty.threshold(self.settings.risk) if self._certainty else np.inf
 
     @property
     def refines(self) -> bool:
@@ -65,12 +73,23 @@ class Localizer:
     @property
     def knows_confidence(self) -> bool:
         """Whether confidence was learned with these settings; if not it is nan, and no answer is accepted."""
-        return bool(self._confidence.weights)
+        return self._certainty is not None
 
     def evidence_settings(self) -> str:
         """The settings that evidence, and so confidence, depends on, in one line."""
-        alignment = self._refiner.settings if self._refiner else RefinementSettings()
-        return f"{self.search.matching} {self.search.settings} {alignment}"
+        alignment = self._refiner.settings if self._refiner else None
+        return self.settings_line(self.vid.settings, self.search.matching, self.search.settings, alignment)
+
+    @staticmethod
+    def settings_line(
+        features: Settings,
+        matching: Matching | None = None,
+        search: SearchSettings | None = None,
+        alignment: RefinementSettings | None = None,
+    ) -> str:
+        """`evidence_settings` of a localizer with these choices; what is None is the default."""
+        chosen = (features, matching or default_matching(), search or SearchSettings())
+        return " ".join(map(str, (*chosen, alignment or RefinementSettings())))
 
     def described(self) -> str:
         """All settings in one line: two localizers of one VID that say the same give the same answers."""
@@ -87,7 +106,7 @@ class Localizer:
         with torch.inference_mode(), one_thread_an_operation():
             features = self.features(image)
             found = self.judge(features)
-        confidence = self._confidence.probability(found.numbers)
+        sure = self._sure(found)
         rows, ranking = self._candidate_rows(found), found.ranking
         distance = ranking.distance
         candidates = tuple(
@@ -97,11 +116,15 @@ class Localizer:
         return Location(
             found.calyx,
             self.vid.calyx_name(found.calyx),
-            self._fused_pose(found, rows[0]),
+            self.pose(found),
             best.view,
             best.distance,
-            confidence,
-            confidence >= self.settings.accept,
+            sure.confidence,
+            sure.confidence >= self.threshold,
+            tuple(self.vid.calyx_name(c) or NONE for c in sure.calyces),
+            sure.position_sd_mm,
+            sure.direction_sd_deg,
+            sure.novelty,
             candidates,
             features,
             time.perf_counter() - start,
@@ -111,18 +134,35 @@ class Localizer:
         """What a picture's features say, before anyone asks how sure that is."""
         ranking = self.search.rank(features)
         calyces = observed_calyx(ranking.T_kidney_camera, self.vid.kidney, self.vid.lumen)
-        seen = evidence(ranking.distance, calyces, features)
+        scale = self.vid.kidney.scale
+        said = vote(ranking.distance, calyces, len(self.vid.kidney.calyces))
+        nearest = nearest_evidence(ranking, said, features, scale)
         if self._refiner is None:
-            return Judgement(ranking, calyces, seen.calyx, seen.calyx, seen.numbers(), None, False)
+            return Judgement(ranking, calyces, said.calyx, said.calyx, nearest, nearest, None, False)
         starts = self._distinct(ranking.T_kidney_camera, self._refiner.settings.hypotheses)
         refined = self._refiner.refine(features, [self._mean_of_views(ranking, i) for i in starts])
-        calyx = int(observed_calyx(refined.T_kidney_camera[None], self.vid.kidney, self.vid.lumen)[0])
-        numbers = np.append(seen.numbers(), [refined.score, float(calyx == seen.calyx)])
+        poses = np.concatenate([refined.T_kidney_camera[None], refined.tried])
+        calyx, *tried = observed_calyx(poses, self.vid.kidney, self.vid.lumen).tolist()
         s = self.settings
-        needed = s.min_score_to_override_calyx + (s.override_margin if calyx != seen.calyx else 0.0)
+        needed = s.min_score_to_override_calyx + (s.override_margin if calyx != said.calyx else 0.0)
         believed = refined.score >= needed
-        answer = calyx if believed else seen.calyx
-        return Judgement(ranking, calyces, answer, seen.calyx, numbers, refined, believed)
+        answer = calyx if believed else said.calyx
+        full = refined_evidence(nearest, refined, np.array(tried), calyx, answer, scale)
+        return Judgement(ranking, calyces, answer, said.calyx, nearest, full, refined, believed)
+
+    def pose(self, found: Judgement) -> Array:
+        """The answer's pose (4, 4)."""
+        return self._fused_pose(found, self._candidate_rows(found)[0])
+
+    def nearest_pose(self, found: Judgement) -> Array:
+        """The pose (4, 4) that would be answered without refinement."""
+        return self._mean_of_views(found.ranking, int((found.calyces == found.voted).argmax()))
+
+    def _sure(self, found: Judgement) -> Certainty:
+        """How sure the answer is; nan and no calyces where nothing was learned with these settings."""
+        if self._certainty is None:
+            return Certainty(np.nan, (), np.nan, np.nan, np.nan)
+        return self._certainty.certainty(found.evidence, self.settings.set_probability, self.vid.kidney.scale)
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture (H, W) or (H, W, 3) blue, green, red, as `locate` extracts them; the same errors."""

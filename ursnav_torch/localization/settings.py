@@ -17,7 +17,8 @@ class LocalizationSettings:
         override_margin: so much more it must score where it observes another calyx than the views vote for.
         min_score_to_replace_mean: one whose score is lower is no better than the weighted mean of the nearest views'
             poses, and errs otherwise: where both are one place, the pose between them is the answer.
-        accept: a confidence below this is "unsure".
+        risk: of the answers that are accepted at most this share is wrong; the others are "unsure".
+        set_probability: with which the set of calyces holds the right one.
 
     The scores were chosen on simulated pictures of phantoms by ``python -m benchmarks.refinement``.
     """
@@ -27,8 +28,12 @@ class LocalizationSettings:
     min_score_to_override_calyx: float = 0.6
     override_margin: float = 0.1
     min_score_to_replace_mean: float = 0.65
-    accept: float = 0.5
+    risk: float = 0.01
+    set_probability: float = 0.95
 
     def __post_init__(self) -> None:
-        if self.keep < 1 or not 0 <= self.accept <= 1:
-            raise InputError(f"Expected keep >= 1 and 0 <= accept <= 1, got keep={self.keep}, accept={self.accept}.")
+        if self.keep < 1 or not 0 < self.risk < 1 or not 0 < self.set_probability < 1:
+            raise InputError(
+                "Expected keep >= 1, 0 < risk < 1 and 0 < set_probability < 1, got "
+                f"keep={self.keep}, risk={self.risk}, set_probability={self.set_probability}."
+            )

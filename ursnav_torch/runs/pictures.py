@@ -60,10 +60,17 @@ def match_row(location: Location) -> dict[str, Any]:
         **pose_cells(pose[None])[0],
         "view": location.view,
         "distance": location.distance,
-        "confidence": None if math.isnan(location.confidence) else location.confidence,
+        "confidence": _known(location.confidence),
         "accepted": location.accepted,
         "seconds": location.seconds,
+        "calyces": "|".join(location.calyces),
+        "position_sd_mm": _known(location.position_sd_mm),
+        "direction_sd_deg": _known(location.direction_sd_deg),
     }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _is_picture(path: Path) -> bool:

@@ -7,6 +7,8 @@ from ursnav_torch.rendering.sensor.occluders import OccluderFaults
 from ursnav_torch.rendering.sensor.optics import OpticsFaults
 from ursnav_torch.rendering.sensor.presets import (
     PRESETS,
+    WIDE,
+    Preset,
     draw_faults,
     in_vivo_like,
     severity,
@@ -19,10 +21,12 @@ from ursnav_torch.rendering.sensor.wall import WallFaults
 __all__ = [
     "NO_CALYX_KINDS",
     "PRESETS",
+    "WIDE",
     "ElectronicsFaults",
     "LightFaults",
     "OccluderFaults",
     "OpticsFaults",
+    "Preset",
     "SensorFaults",
     "WallFaults",
     "draw_faults",

@@ -170,7 +170,7 @@ IN_VIVO_LIKE: Preset = MappingProxyType({
 })  # fmt: skip
 
 #: Wider than the world: every fault beyond what is expected, so that the expected lies inside (Tobin et al., IROS
-#: 2017, domain randomization). Its ends are set by eye; nothing is learned from it yet, so it is not among `PRESETS`.
+#: 2017, domain randomization). Its ends are set by eye; certainty is learned from it besides `PRESETS`.
 WIDE: Preset = MappingProxyType({
     "wall.color_bgr": Color((0.15, 0.18, 0.4), (0.95, 0.95, 1.05)),
     "wall.seed": _SEED,

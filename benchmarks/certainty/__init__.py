@@ -1,0 +1,97 @@
+"""Learning how sure answers are, and judging it on pictures that nothing was learned from.
+
+    python -m benchmarks.certainty work=DIR                 # learn from phantoms, judge on others; a quarter of an hour
+    python -m benchmarks.certainty work=DIR save=true       # and store what was learned with the package
+    python -m benchmarks.certainty work=DIR data=DIR        # judge what the package knows on kidneys' pictures, too
+
+Every phantom has a VID and is asked with pictures of every kind: the presets, everything widened, and one group of
+faults widened alone. Weights, thresholds and the conformal sets come from the first two thirds of the phantoms, each
+calibrated by the others; the figures are of the last third, which nothing was chosen on, once with all kinds learned
+from, and of every kind once with that kind left out. What was known of each picture is kept in ``work``, so that
+another fit takes seconds; after a change of features or of the network give an empty one. Other arguments:
+``phantoms=6 pictures=24`` (of a kind) ``views=240`` (a calyx) ``refine=true`` ``risk=0.01`` ``probability=0.95``
+``out=FILE.json``.
+"""
+
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.certainty.figures import Told, report_told, told
+from benchmarks.certainty.kidneys import judge_kidneys
+from benchmarks.certainty.population import asked_of, current_settings, kinds, kinds_without
+from benchmarks.shared.results import Report, overrides
+from ursnav_torch.errors import UrsnavError
+from ursnav_torch.localization.calibrating import learn_certainty
+from ursnav_torch.localization.certainty import CertaintyModel
+from ursnav_torch.localization.fitting import Asked
+from ursnav_torch.localization.learned import Packaged, save_packaged
+
+DEFAULTS = {
+    "phantoms": 6, "pictures": 24, "views": 240, "work": "", "data": "", "save": False, "learn": True, "risk": 0.01,
+    "probability": 0.95, "out": "",
+}  # fmt: skip
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Learn, judge, print the tables and write the JSON file."""
+    settings = overrides(DEFAULTS, arguments)
+    if settings["phantoms"] < 3:
+        print(f"error: phantoms={settings['phantoms']} leaves none to judge by; give 3 or more", file=sys.stderr)
+        return 2
+    report = Report("certainty", {k: v for k, v in settings.items() if k not in ("out", "work", "data", "save")})
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            work = Path(settings["work"] or scratch)
+            work.mkdir(parents=True, exist_ok=True)
+            if settings["learn"]:
+                _learn(report, settings, work)
+            if settings["data"]:
+                judge_kidneys(report, Path(settings["data"]), work, settings["risk"], settings["probability"])
+    except UrsnavError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(report.table())
+    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    return 0
+
+
+def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
+    """Learn for answers with and without refinement; judge both, the refined ones kind by kind left out, too."""
+    count = settings["phantoms"]
+    learned_on = max(2, round(count * 2 / 3))
+    models = {}
+    for how in ("refined", "nearest"):
+        ask = (settings["pictures"], settings["views"], work, how == "refined")
+        learning, judging = asked_of(range(learned_on), *ask), asked_of(range(learned_on, count), *ask)
+        models[how] = model = learn_certainty(learning, kinds_without)
+        report_told(report, f"{how}: phantoms never seen", _told(model, judging, settings))
+        weight = model.regressions.novelty.weight
+        report.add(f"{how}: learned", "log-odds off for novelty", "a sd", [weight], n=len(learning))
+        report.add(f"{how}: learned", "accepted from confidence", "of 1", [model.threshold(settings["risk"])])
+        if how == "refined":
+            left_out(report, learning, judging, weight, settings)
+    if settings["save"]:
+        save_packaged(Packaged(current_settings(), models["refined"], models["nearest"]))
+        print("stored with the package", file=sys.stderr)
+
+
+def left_out(report: Report, learning: Asked, judging: Asked, weight: float, settings: dict[str, Any]) -> None:
+    """Every kind judged by what was learned without it."""
+    found: list[Told] = []
+    for kind in kinds():
+        rest = learning.subset(~np.isin(learning.kind, kinds_without(kind)))
+        model = learn_certainty(rest)
+        novelty = replace(model.regressions.novelty, weight=weight)
+        model = replace(model, regressions=replace(model.regressions, novelty=novelty))
+        found += _told(model, judging.subset(judging.kind == kind), settings)
+    report_told(report, "refined: a kind left out, phantoms never seen", found)
+
+
+def _told(model: CertaintyModel, asked: Asked, settings: dict[str, Any]) -> list[Told]:
+    return told(model, asked, settings["risk"], settings["probability"])

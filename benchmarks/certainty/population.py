@@ -1,0 +1,105 @@
+"""Pictures of a population of phantoms, of every kind, and what was known of each; kept in a folder from run to run."""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.features import DefaultSettings
+from ursnav_torch.files import write_json
+from ursnav_torch.kidney import make_phantom_kidney
+from ursnav_torch.localization import Localizer
+from ursnav_torch.localization.fitting import Asked
+from ursnav_torch.localization.learn import ask, nothing_queries, simulated_queries
+from ursnav_torch.localization.learned import asked_from_table, evidence_table
+from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset
+from ursnav_torch.rendering.sensor.presets import IN_VIVO_LIKE
+from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+
+#: Groups of faults that are widened alone.
+GROUPS = ("wall", "light", "bodies", "occluders", "optics")
+FIRST_SEED = 2000
+#: Calyces of the phantoms, in turn.
+CALYCES = (7, 9, 6, 8, 10, 7)
+MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
+
+
+def kinds() -> dict[str, Preset]:
+    """The presets, everything widened at once, and one group of faults widened in pictures that are in-vivo-like."""
+    alone = {
+        f"wide {group}": {
+            **{k: v for k, v in IN_VIVO_LIKE.items() if not k.startswith(f"{group}.")},
+            **{k: v for k, v in WIDE.items() if k.startswith(f"{group}.")},
+        }
+        for group in GROUPS
+    }
+    return {**PRESETS, **alone, "wide": WIDE}
+
+
+def kinds_without(kind: str) -> Sequence[str]:
+    """What must not be learned from for ``kind`` to be one never seen: itself, and all that holds its faults."""
+    return (kind, "wide") if kind.startswith("wide ") else (kind,)
+
+
+def asked_of(seeds: Sequence[int], pictures: int, views: int, work: Path, refined: bool) -> Asked:
+    """What was known of all pictures of some phantoms."""
+    rows = list(chain.from_iterable(phantom_rows(seed, pictures, views, work) for seed in seeds))
+    return asked_from_table(rows, refined)
+
+
+def phantom_rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[str, Any]]:
+    """Plain rows of one phantom's pictures, from the work folder where they lie there already."""
+    path = work / f"certainty_{seed:03d}_{views}_{pictures}.json"
+    settings = None
+    if path.exists():
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        settings = kept["settings"]
+    vid = None if settings == current_settings() else _vid(seed, views, work)
+    if vid is not None:
+        rows = _asked(vid, pictures, views, seed)
+        kept = {"settings": Localizer(vid).evidence_settings(), "rows": rows}
+        write_json(path, kept)
+        print(f"phantom {seed}: {len(rows)} pictures asked", file=sys.stderr, flush=True)
+    return list(kept["rows"])
+
+
+def current_settings() -> str:
+    """`Localizer.evidence_settings` of a VID with the default features, without one."""
+    return Localizer.settings_line(DefaultSettings())
+
+
+def _vid(seed: int, views: int, work: Path) -> Vid:
+    out = work / f"certainty_vid_{seed:03d}_{views}"
+    if (out / "vid.json").exists():
+        return load_vid(out)
+    kidney = make_phantom_kidney(seed=FIRST_SEED + seed, calyces=CALYCES[seed % len(CALYCES)])
+    plan = PlanSettings(views_per_calyx=views, passage_views=views)
+    return build_vid(kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, workers=1)
+
+
+def _asked(vid: Vid, pictures: int, views: int, seed: int) -> list[dict[str, Any]]:
+    """``pictures`` of every kind, and twice as many of nothing."""
+    rng, presets = np.random.default_rng(70_000 + seed), kinds()
+    each = round(pictures * len(presets) / (len(vid.kidney.calyces) + 1)) + 1
+    plan = replace(PlanSettings(), views_per_calyx=each, passage_views=each, roll_deg=180.0, seed=501 + seed)
+    shuffled = _shuffled(presets, rng)
+    queries = chain(
+        simulated_queries(vid, MAKE_RENDERER, plan, rng, shuffled),
+        nothing_queries(vid, MAKE_RENDERER, rng, 2 * pictures),
+    )
+    asked = ask(Localizer(vid), queries, lambda n: None)
+    table = evidence_table(asked)
+    return [row | {"kidney": seed, "kind": a["kind"]} for row, a in zip(table, asked, strict=True)]
+
+
+def _shuffled(presets: Mapping[str, Preset], rng: np.random.Generator) -> dict[str, Preset]:
+    names = list(presets)
+    return {names[i]: presets[names[i]] for i in rng.permutation(len(names))}
