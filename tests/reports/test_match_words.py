@@ -10,17 +10,24 @@ from ursnav_torch.reports.html import inline_picture, render_page
 from ursnav_torch.reports.match_words import answer_words, filters_of, summary_words
 
 
-def row(image: str, calyx: str = "B", accepted: bool = True, error: str = "") -> dict:
-    return {"image": image, "calyx": calyx, "accepted": accepted, "confidence": 0.97, "error": error, "calyces": "B|C"}
+def row(image: str, calyx: str = "B", accepted: bool = True, error: str = "", calyces: str = "B|C") -> dict:
+    return {
+        "image": image,
+        "calyx": calyx,
+        "accepted": accepted,
+        "confidence": 0.97,
+        "error": error,
+        "calyces": calyces,
+    }
 
 
 ROWS = [
-    (row("right.png"), "B", "yes", "sure right", "B"),
-    (row("wrong.png"), "<A>", "no", "sure wrong", "B, wrong: it is <A>"),
-    (row("lucky.png", accepted=False), "B", "unsure", "unsure right", "unsure, perhaps B"),
-    (row("none.png", calyx=""), "B", "no", "sure wrong", "no calyx (passage), wrong: it is B"),
-    (row("passage.png", calyx=""), "", "yes", "sure right", "no calyx (passage)"),
-    (row("unknown.png"), None, "yes", "sure", "B"),
+    (row("right.png"), "B", "yes", "sure right", "B or C"),
+    (row("wrong.png"), "<A>", "no", "sure wrong", "B or C, wrong: it is <A>"),
+    (row("lucky.png", accepted=False), "B", "unsure", "unsure right", "unsure, perhaps B or C"),
+    (row("none.png", calyx="", calyces="none"), "B", "no", "sure wrong", "no calyx (passage), wrong: it is B"),
+    (row("passage.png", calyx="", calyces=""), "", "yes", "sure right", "no calyx (passage)"),
+    (row("unknown.png"), None, "yes", "sure", "B or C"),
     (row("black.png", error="all black"), "B", "no", "failed", "not located"),
 ]
 
@@ -29,7 +36,7 @@ ROWS = [
 def test_an_answer_in_words(cells: dict, truth: str | None, tone: str, states: str, answer: str) -> None:
     found = answer_words(cells, truth)
     assert (found["tone"], found["states"], found["answer"]) == (tone, states, answer)
-    assert found["calyces"] == "B, C"
+    assert found["calyces"] == cells["calyces"].replace("|", ", ")
 
 
 def test_the_summary_counts_what_is_sure_and_what_is_right() -> None:

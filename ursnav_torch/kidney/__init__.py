@@ -8,9 +8,11 @@ from ursnav_torch.kidney.anatomy import Calyx, Centerline, Kidney
 from ursnav_torch.kidney.lumen import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
 from ursnav_torch.kidney.mesh import load_mesh_kidney
 from ursnav_torch.kidney.phantom import make_phantom_kidney
+from ursnav_torch.kidney.set_words import NO_CALYX, set_words
 from ursnav_torch.kidney.tables import read_calyces, read_centerline, write_calyces, write_centerline
 
 __all__ = [
+    "NO_CALYX",
     "OBSERVED_WITHIN_MM",
     "Calyx",
     "Centerline",
@@ -21,6 +23,7 @@ __all__ = [
     "observed_calyx",
     "read_calyces",
     "read_centerline",
+    "set_words",
     "write_calyces",
     "write_centerline",
 ]

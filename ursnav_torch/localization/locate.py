@@ -23,8 +23,6 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
-#: What a set of calyces has where the picture may show no calyx.
-NONE = "none"
 #: Hypotheses nearer to each other than both of these are one start for refinement; mm at the kidney's scale 1, degrees.
 SAME_START_MM, SAME_START_DEG = 1.5, 20.0
 #: A turn by one degree moves a wall about 9 mm away by as much as this shift does, mm at the kidney's scale 1.
@@ -121,7 +119,7 @@ class Localizer:
             best.distance,
             sure.confidence,
             sure.confidence >= self.threshold,
-            tuple(self.vid.calyx_name(c) or NONE for c in sure.calyces),
+            self.vid.set_names(sure.calyces),
             sure.position_sd_mm,
             sure.direction_sd_deg,
             sure.novelty,

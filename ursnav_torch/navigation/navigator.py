@@ -18,6 +18,7 @@ from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import Features
+from ursnav_torch.kidney import NO_CALYX, set_words
 from ursnav_torch.navigation.bus import Newest, StateBus
 from ursnav_torch.navigation.effort import WORDS, Governor
 from ursnav_torch.navigation.guide import Guide
@@ -27,7 +28,7 @@ from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
-from ursnav_torch.vid import pose_cells
+from ursnav_torch.vid import Vid, pose_cells
 
 Array = NDArray[np.float64]
 Sensor = Callable[[TrackerSample], SensorReading | None]
@@ -89,7 +90,8 @@ class Navigator:
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
         self._jobs: Newest[_Job] = Newest()
         self._seen: Newest[_Seen] = Newest()
-        self._poses: Newest[tuple[Array | None, float]] = Newest()  # pose and the picture's time
+        # The pose where one calyx alone is left, the pose, and the picture's time.
+        self._poses: Newest[tuple[Array | None, Array | None, float]] = Newest()
         self._reading: SensorReading | None = None
         self._told_coverage = ""
         self._results: deque[Result] = deque(maxlen=1000)
@@ -201,7 +203,8 @@ class Navigator:
                 continue
             self._failing = False
             self._publish(seen, tracked, begun)
-            self._poses.put((_believed(tracked), job.frame.stamp.t_mono_s))
+            settled = tracked.T_kidney_camera if tracked.is_settled else None
+            self._poses.put((settled, _believed(tracked), job.frame.stamp.t_mono_s))
             self._finish(job)
 
     def _fail(self, job: _Job, error: Exception) -> None:
@@ -225,7 +228,7 @@ class Navigator:
     def _publish(self, seen: _Seen, tracked: Tracked, begun: float) -> None:
         """Put a picture's pose on the bus and its row among the results."""
         job = seen.job
-        T, name = tracked.T_kidney_camera, self.vid.calyx_name(tracked.calyx)
+        T, names = tracked.T_kidney_camera, _names(tracked, self.vid)
         if T is not None:
             self._trail.add(T[:3, 3])
         now, level = time.monotonic(), self._governor.level
@@ -241,7 +244,8 @@ class Navigator:
                     edges=edges,
                     tracking=tracked.state,
                     T_kidney_camera=T,
-                    calyx=name,
+                    calyx=self.vid.calyx_name(tracked.calyx),
+                    calyces=names,
                     confidence=float(tracked.confidence),
                     path_mm=self._trail.points(),
                     latency=latency,
@@ -253,7 +257,7 @@ class Navigator:
         self.bus.update(change)
         self.located, self._published_s = self.located + 1, now
         self.latencies.append(latency)
-        row = _row(job, tracked, name, latency, level) | self._news_of_coverage()
+        row = _row(job, tracked, names, latency, level) | self._news_of_coverage()
         self._results.append(Result(self._stamp(), job.frame.stamp.sequence, row))
         new_level = self._governor.observe(latency.total_s)
         if new_level != level:
@@ -279,9 +283,9 @@ class Navigator:
             found = self._poses.take(0.1)
             begun = time.monotonic()
             if found is not None:
-                T, t_s = found
-                if T is not None and last_s is not None:
-                    self.guide.paint(T, t_s - last_s)
+                settled, T, t_s = found
+                if settled is not None and last_s is not None:
+                    self.guide.paint(settled, t_s - last_s)
                 last_s = t_s
             if (found is not None and begun >= due) or self._choose_again:
                 self._choose_again = False
@@ -317,20 +321,28 @@ def _believed(tracked: Tracked) -> Array | None:
     return tracked.T_kidney_camera if tracked.state == TRACKING and np.isfinite(tracked.score) else None
 
 
+def _names(tracked: Tracked, vid: Vid) -> tuple[str, ...]:
+    """Of the calyces that the answer may be, the answer first."""
+    return vid.set_names((tracked.calyx,) if tracked.certainty is None else tracked.certainty.calyces)
+
+
 def _worded(state: NavigationState) -> NavigationState:
     """A state with its line of plain words."""
     remarks = ["No new picture."] * state.stale + ["The robot is stopped."] * (state.robot == STOPPED)
     remark = " ".join([*remarks, WORDS[state.effort]]).strip()
-    line = status_line(state.tracking, state.calyx, state.confidence, state.guidance, remark)
+    calyx = set_words(state.calyces) if state.calyx else ""
+    line = status_line(state.tracking, calyx, state.confidence, state.guidance, remark)
     return replace(state, status=line)
 
 
-def _row(job: _Job, tracked: Tracked, calyx: str, latency: Latency, effort: int) -> dict[str, Any]:
+def _row(job: _Job, tracked: Tracked, calyces: tuple[str, ...], latency: Latency, effort: int) -> dict[str, Any]:
     """The result's row: as `track` writes it, with latencies."""
     row: dict[str, Any] = {"t_s": job.frame.stamp.t_mono_s, "state": tracked.state, "accepted": False}
     if tracked.T_kidney_camera is not None:
         row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
+        calyx = "" if calyces[0] == NO_CALYX else calyces[0]
         row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}
+        row |= {"calyces": "|".join(calyces)}
     seconds = {"waiting_s": latency.waiting_s, "features_s": latency.features_s, "tracking_s": latency.tracking_s}
     seconds["latency_s"] = latency.total_s
     return row | {k: round(v, 4) for k, v in seconds.items()} | {"effort": effort}

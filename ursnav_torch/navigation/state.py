@@ -65,6 +65,7 @@ class NavigationState:
         tracking: ``tracking``, ``searching`` or ``lost``.
         T_kidney_camera: (4, 4), or None unless tracking.
         calyx: name of the calyx observed; blank for none.
+        calyces: names of those that it may be, the observed one first.
         confidence: probability that this is right.
         guidance: coverage and route.
         path_mm: (N, 3) where the scope has been, kidney frame; a jump of the track is one long step.
@@ -83,6 +84,7 @@ class NavigationState:
     tracking: str = SEARCHING
     T_kidney_camera: Array | None = None
     calyx: str = ""
+    calyces: tuple[str, ...] = ()
     confidence: float = 0.0
     guidance: Guidance = field(default_factory=Guidance)
     path_mm: Array = field(default_factory=lambda: np.zeros((0, 3)))

@@ -22,7 +22,7 @@ def status_line(tracking: str, calyx: str, confidence: float, guidance: Guidance
 
     Args:
         tracking: ``tracking``, ``searching`` or ``lost``.
-        calyx: the calyx observed, blank for none.
+        calyx: the calyx observed, or the few that it may be in words; blank for none.
         confidence: probability that this is right.
         guidance: what was seen, and the way on as far as it is known.
         remark: one more sentence, as it is.

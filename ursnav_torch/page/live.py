@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ursnav_torch.devices import Frame
+from ursnav_torch.kidney import set_words
 from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidence_words
 from ursnav_torch.page.commands import Command
 from ursnav_torch.page.pictures import PagePictures, jpeg
@@ -193,6 +194,7 @@ def state_values(state: NavigationState, rate: float) -> dict[str, Any]:
         "status": state.status,
         "place": "" if T is None else g.place,
         "calyx": "" if T is None else state.calyx,
+        "may_be": "" if T is None or not state.calyx else set_words(state.calyces) or state.calyx,
         "confidence": share if T is not None else 0.0,
         "words": confidence_words(share) if T is not None else "no place known",
         "coverage": [[c.calyx, c.pole, c.verdict, round(c.share, 3)] for c in g.coverage],

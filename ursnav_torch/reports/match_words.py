@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ursnav_torch.kidney import set_words
+
 #: States that pictures can be filtered by, in the page's order.
 _STATES = {"sure": "sure", "unsure": "unsure", "right": "right", "wrong": "wrong", "failed": "not located"}
 
@@ -23,7 +25,8 @@ def answer_words(row: Mapping[str, Any], truth: str | None) -> dict[str, Any]:
     sure = located and bool(row.get("accepted"))
     right = located and truth is not None and calyx == truth
     wrong = located and truth is not None and calyx != truth
-    name = calyx or "no calyx (passage)"
+    set_ = [name for name in str(row.get("calyces") or "").split("|") if name]
+    name = set_words(set_) if len(set_) > 1 else calyx or "no calyx (passage)"
     answer = "not located" if not located else name if sure else f"unsure, perhaps {name}"
     if wrong:
         answer += f", wrong: it is {truth or 'no calyx'}"

@@ -54,6 +54,7 @@ class SessionFigures:
         t_s: (N,) of every picture located, from the first on.
         frame: (N,) its number.
         T_kidney_camera: (M, 4, 4) where the track was believed; ``believed`` (N,) says for which pictures.
+        settled: (M,) whether the picture could be of one calyx alone.
         time_in_s: by calyx, and blank for none.
         best: by calyx the number of the picture that shows it surest and from near.
         path_mm, speed_mm_s: length of the way, and the median speed while moving.
@@ -65,6 +66,7 @@ class SessionFigures:
     frame: NDArray[np.int64]
     believed: NDArray[np.bool_]
     T_kidney_camera: Array
+    settled: NDArray[np.bool_]
     time_in_s: dict[str, float] = field(default_factory=dict)
     best: dict[str, int] = field(default_factory=dict)
     path_mm: float = 0.0
@@ -81,7 +83,8 @@ def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
     frame = np.array([number for number, _ in rows], np.int64)
     believed = np.array([bool(row["accepted"]) for _, row in rows], bool)
     T = _poses([row for _, row in rows if row["accepted"]])
-    found = SessionFigures(t, frame, believed, T)
+    settled = np.array(["|" not in str(row.get("calyces", "")) for _, row in rows if row["accepted"]], bool)
+    found = SessionFigures(t, frame, believed, T, settled)
     lasted = np.minimum(np.diff(t, append=t[-1:]), LONGEST_GAP_S)
     surest: dict[str, float] = {}
     tips = {c.name: c.tip_mm for c in kidney.calyces}
@@ -111,7 +114,7 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
     figures = session_figures(replay, vid.kidney)
     coverage = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
-    for T, seconds in zip(figures.T_kidney_camera, passed, strict=True):
+    for T, seconds in zip(figures.T_kidney_camera[figures.settled], passed[figures.settled], strict=True):
         coverage.add(T, float(seconds))
     page = render_page(
         "session.html.j2",

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import numpy as np
-
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.tracking.follow import Moment
 from ursnav_torch.tracking.tracker import Tracked, Tracker
@@ -16,13 +14,13 @@ def track_rows(
 ) -> Iterator[tuple[dict[str, Any], Tracked]]:
     """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along.
 
-    A picture is painted when the track is believed, for the time since the one before.
+    A picture is painted when the track is believed and leaves one calyx, for the time since the one before.
     """
     last = None
     for moment, tracked in answers:
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
-        if coverage is not None and tracked.T_kidney_camera is not None and np.isfinite(tracked.score):
+        if coverage is not None and tracked.T_kidney_camera is not None and tracked.is_settled:
             coverage.add(tracked.T_kidney_camera, passed)
         yield track_row(moment, tracked, tracker), tracked
 
@@ -33,4 +31,8 @@ def track_row(moment: Moment, tracked: Tracked, tracker: Tracker) -> dict[str, A
     if tracked.T_kidney_camera is not None:
         row |= pose_cells(tracked.T_kidney_camera[None])[0]
         row |= {"calyx": tracker.vid.calyx_name(tracked.calyx), "confidence": float(tracked.confidence)}
+    if tracked.certainty is not None:
+        sure = tracked.certainty
+        row |= {"calyces": "|".join(tracker.vid.set_names(sure.calyces)), "position_sd_mm": sure.position_sd_mm}
+        row |= {"direction_sd_deg": sure.direction_sd_deg}
     return row | {"seconds": tracked.seconds}

@@ -19,6 +19,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
+from ursnav_torch.tracking.certainty import joined_certainty
 from ursnav_torch.tracking.follow import Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.sensor import SensorReading
@@ -106,7 +107,8 @@ def join(
         measured = _chosen(forward[here], backward[here], t_s[here], tracker, readings[here])
         if not any(measured):  # bridged from a place that hindsight does not believe
             answers[here] = [
-                replace(a, state=SEARCHING, T_kidney_camera=None, calyx=-1, confidence=0.0) for a in answers[here]
+                replace(a, state=SEARCHING, T_kidney_camera=None, calyx=-1, confidence=0.0, certainty=None)
+                for a in answers[here]
             ]
         for first, last in _unbroken(measured, t_s[here], tracker):
             stretch = slice(start + first, start + last)
@@ -129,7 +131,8 @@ def _smoothed(
     for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
         believed = [a for a in both if a.state == TRACKING]
         agree = [a.confidence if a.calyx == calyx else 1 - a.confidence for a in believed]
-        moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)))
+        sure = joined_certainty([a.certainty for a in believed if a.certainty is not None], calyx)
+        moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)), certainty=sure)
         result.append(moved if m is None else replace(moved, score=m.score, T_aligned=m.T_kidney_camera))
     return result
 

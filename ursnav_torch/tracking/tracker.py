@@ -23,6 +23,7 @@ from ursnav_torch.scaling import scaled
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
+from ursnav_torch.tracking.certainty import TrackCertainty, calyx_shares, spread_of, track_certainty
 from ursnav_torch.tracking.filter import ViewFilter
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
@@ -53,6 +54,7 @@ class Tracked:
         T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
             showed nothing.
         evidence: what the picture said on whether this is the kidney; None likewise.
+        certainty: the calyces that it may be, and how far off the pose may be; None unless tracking.
     """
 
     state: str
@@ -64,6 +66,13 @@ class Tracked:
     seconds: float
     T_aligned: Array | None = None
     evidence: KidneyEvidence | None = None
+    certainty: TrackCertainty | None = None
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the picture was seen, not only expected, and can be of one calyx alone."""
+        seen = self.state == TRACKING and bool(np.isfinite(self.score))
+        return seen and (self.certainty is None or len(self.certainty.calyces) == 1)
 
 
 class Tracker:
@@ -134,6 +143,7 @@ class Tracker:
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
         self._seen_s, self._state = 0.0, SEARCHING
+        self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
         self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
         self._pursuit.reset()
@@ -200,10 +210,20 @@ class Tracker:
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera, evidence)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
-        agree = observed_calyx(found.T_kidney_camera, self.vid.kidney, self.lumen) == calyx
-        confidence = (0.5 + 0.5 * float(found.weight[agree].sum())) / (1 + np.exp(-self._test.trust))
+        self._sure, share = self._certainty(found, T, calyx, refined.score)
+        confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
-        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence)
+        return Tracked(
+            TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence, self._sure
+        )
+
+    def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:
+        """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""
+        kidney = self.vid.kidney
+        observed = observed_calyx(found.T_kidney_camera, kidney, self.lumen)
+        share = calyx_shares(found, observed, calyx, len(kidney.calyces))
+        spread, settings = spread_of(found, T), self.settings.certainty
+        return track_certainty(calyx, share, score, spread, settings, kidney.scale), float(share[calyx])
 
     def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
         """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
@@ -270,4 +290,8 @@ class Tracker:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.filter.bridge_s) / (1 + np.exp(-self._test.trust))
-        return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, time.perf_counter() - start)
+        away = t_s - self._seen_s
+        motion, sure = self.settings.motion, self._sure
+        sure = None if sure is None else sure.later(motion.speed_mm_s * away, motion.turn_deg_s * away).of(calyx)
+        spent = time.perf_counter() - start
+        return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, spent, certainty=sure)

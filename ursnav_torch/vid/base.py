@@ -1,5 +1,6 @@
 """The virtual image database in memory."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from torch import Tensor
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Extractor, Settings, make_extractor
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import NO_CALYX, Kidney, LumenDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,10 @@ class Vid:
     def calyx_name(self, calyx: int) -> str:
         """Name of a calyx index; blank for -1."""
         return self.kidney.calyces[calyx].name if calyx >= 0 else ""
+
+    def set_names(self, calyces: Sequence[int]) -> tuple[str, ...]:
+        """Names of the calyces that a picture may show; ``none`` for -1."""
+        return tuple(self.calyx_name(c) or NO_CALYX for c in calyces)
 
     def image_path(self, view: int) -> Path:
         """The picture of one view."""

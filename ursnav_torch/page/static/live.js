@@ -41,7 +41,7 @@ function build(m) {
 
 function show(m) {
   put($("status"), m.status); $("status").title = m.status;
-  put($("tag"), m.calyx ? `${m.calyx} · ${m.words}` : m.place || m.words);
+  put($("tag"), m.calyx ? `${m.may_be} · ${m.words}` : m.place || m.words);
   put($("words"), m.pose ? `${m.words} (${Math.round(100 * m.confidence)} %)` : m.words);
   $("bar").style.transform = `scaleX(${m.confidence})`;
   $("bar").parentElement.className = `bar ${m.confidence >= 0.9 ? "inspected" : m.confidence >= 0.6 ? "glimpsed" : "unseen"}`;
