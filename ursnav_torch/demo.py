@@ -31,7 +31,9 @@ def main(config: Any) -> None:
         overwrite=config.overwrite,
         workers=config.workers,
         progress=progress,
-        learn=partial(learn_confidence, make_renderer=make_renderer, plan=plan),
+        learn=partial(
+            learn_confidence, make_renderer=make_renderer, plan=plan, queries_per_calyx=config.queries_per_calyx
+        ),
     )
     scores = run_demo(
         vid, make_renderer, plan, config.pictures_per_calyx, out, overwrite=config.overwrite, progress=progress

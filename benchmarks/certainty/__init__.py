@@ -7,10 +7,11 @@
 Every phantom has a VID and is asked with pictures of every kind: the presets, everything widened, and one group of
 faults widened alone. Weights, thresholds and the conformal sets come from the first two thirds of the phantoms, each
 calibrated by the others; the figures are of the last third, which nothing was chosen on, once with all kinds learned
-from, and of every kind once with that kind left out. What was known of each picture is kept in ``work``, so that
+from, and of every kind once with that kind left out. A flight through each phantom does the same for tracks.
+What was known of each picture is kept in ``work``, so that
 another fit takes seconds; after a change of features or of the network give an empty one. Other arguments:
-``phantoms=6 pictures=24`` (of a kind) ``views=240`` (a calyx) ``refine=true`` ``risk=0.01`` ``probability=0.95``
-``out=FILE.json``.
+``phantoms=6 pictures=36`` (of a kind) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge
+what the package knows) ``out=FILE.json``.
 """
 
 import sys
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.certainty.figures import Told, report_told, told
+from benchmarks.certainty.flights import learn_track
 from benchmarks.certainty.kidneys import judge_kidneys
 from benchmarks.certainty.population import asked_of, current_settings, kinds, kinds_without
 from benchmarks.shared.results import Report, overrides
@@ -33,7 +35,7 @@ from ursnav_torch.localization.fitting import Asked
 from ursnav_torch.localization.learned import Packaged, save_packaged
 
 DEFAULTS = {
-    "phantoms": 6, "pictures": 24, "views": 240, "work": "", "data": "", "save": False, "learn": True, "risk": 0.01,
+    "phantoms": 6, "pictures": 36, "views": 120, "work": "", "data": "", "save": False, "learn": True, "risk": 0.01,
     "probability": 0.95, "out": "",
 }  # fmt: skip
 
@@ -76,8 +78,9 @@ def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
         report.add(f"{how}: learned", "accepted from confidence", "of 1", [model.threshold(settings["risk"])])
         if how == "refined":
             left_out(report, learning, judging, weight, settings)
+    track = learn_track(report, range(learned_on), range(learned_on, count), settings, work)
     if settings["save"]:
-        save_packaged(Packaged(current_settings(), models["refined"], models["nearest"]))
+        save_packaged(Packaged(current_settings(), models["refined"], models["nearest"], track))
         print("stored with the package", file=sys.stderr)
 
 

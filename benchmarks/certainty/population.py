@@ -62,7 +62,7 @@ def phantom_rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[
     if path.exists():
         kept = json.loads(path.read_text(encoding="utf-8"))
         settings = kept["settings"]
-    vid = None if settings == current_settings() else _vid(seed, views, work)
+    vid = None if settings == current_settings() else phantom_vid(seed, views, work)
     if vid is not None:
         rows = _asked(vid, pictures, views, seed)
         kept = {"settings": Localizer(vid).evidence_settings(), "rows": rows}
@@ -76,7 +76,8 @@ def current_settings() -> str:
     return Localizer.settings_line(DefaultSettings())
 
 
-def _vid(seed: int, views: int, work: Path) -> Vid:
+def phantom_vid(seed: int, views: int, work: Path) -> Vid:
+    """The VID of one phantom, from the work folder where it lies there already."""
     out = work / f"certainty_vid_{seed:03d}_{views}"
     if (out / "vid.json").exists():
         return load_vid(out)

@@ -67,7 +67,7 @@ def test_runners_answer_from_another_folder(python: Path, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_the_demo_runs_from_another_folder(python: Path, tmp_path: Path) -> None:
     small = ("kidney.calyces=6", "camera.width=96", "camera.height=96", "views.views_per_calyx=20",
-             "views.passage_views=20", "pictures_per_calyx=1", "workers=1")  # fmt: skip
+             "views.passage_views=20", "pictures_per_calyx=1", "queries_per_calyx=2", "workers=1")  # fmt: skip
     done = ran(python, "-m", "ursnav_torch.demo", "out=my demo", *small, cwd=tmp_path)
     assert (tmp_path / "my demo" / "report" / "index.html").exists() and "right calyx" in done.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["my demo", "my demo_vid"]

@@ -2,12 +2,13 @@
 
 from ursnav_torch.localization.ambiguity import LookAlikes, find_look_alikes
 from ursnav_torch.localization.answers import Candidate, Location
-from ursnav_torch.localization.learn import Query, learn_confidence, simulated_queries
+from ursnav_torch.localization.learn import LEARNED_FROM, Query, learn_confidence, simulated_queries
 from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.localization.settings import LocalizationSettings
 from ursnav_torch.search import SearchSettings, default_matching
 
 __all__ = [
+    "LEARNED_FROM",
     "Candidate",
     "LocalizationSettings",
     "Localizer",

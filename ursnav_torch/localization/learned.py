@@ -30,12 +30,28 @@ _LEAST = 5
 
 
 @dataclass(frozen=True, slots=True)
+class TrackWeights:
+    """How a track's evidence is read, see `tracking.certainty`.
+
+    Attributes:
+        least_share: for every one of `LEVELS`, of the hypotheses' probability, from which on a calyx may be the one.
+        position, direction: constant, and weights of the alignment's score and of the logarithm of the hypotheses'
+            spread, in the logarithm of what two of three errors are within, mm at scale 1 and degrees.
+    """
+
+    least_share: tuple[float, ...]
+    position: tuple[float, float, float]
+    direction: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Packaged:
-    """`CertaintyModel`s of answers with and without refinement, and the settings that they hold for."""
+    """`CertaintyModel`s of answers with and without refinement, and the settings that they hold for; and tracks'."""
 
     settings: str
     refined: CertaintyModel
     nearest: CertaintyModel
+    track: TrackWeights | None = None
 
 
 def certainty_model(calibration: Mapping[str, object] | None, settings: str, refined: bool) -> CertaintyModel | None:

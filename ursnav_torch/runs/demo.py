@@ -10,7 +10,7 @@ import numpy as np
 from ursnav_torch.columns import TRUTH_COLUMNS
 from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import angle_between
-from ursnav_torch.localization import Localizer, Query, simulated_queries
+from ursnav_torch.localization import LEARNED_FROM, Localizer, Query, simulated_queries
 from ursnav_torch.runs.match import match_images
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, pose_cells
 
@@ -52,7 +52,7 @@ def run_demo(
         vid: a VID.
         make_renderer: called as ``make_renderer(mesh, camera)``.
         plan: how its views were planned; the pictures' poses are planned alike with another seed.
-        pictures_per_calyx: pictures of each calyx; the presets of sensor faults take turns.
+        pictures_per_calyx: pictures of each calyx; the kinds of sensor faults, the widened ones among them, take turns.
         out: folder to be made.
         overwrite: replace what stands there.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
@@ -77,7 +77,7 @@ def _draw_queries(
     rng = np.random.default_rng(alike.seed)
     queries = {}
     with progress(pictures_per_calyx * len(vid.kidney.calyces), "pictures drawn") as advance:
-        for i, query in enumerate(simulated_queries(vid, make_renderer, alike, rng)):
+        for i, query in enumerate(simulated_queries(vid, make_renderer, alike, rng, LEARNED_FROM)):
             queries[f"{i:03d}_{query.preset}.png"] = query
             write_image(images / f"{i:03d}_{query.preset}.png", query.image)
             advance(1)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
-from ursnav_torch.tracking.certainty import CertaintySettings
+from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.motion import MotionSettings
 from ursnav_torch.tracking.smooth import SmoothSettings
 
@@ -120,4 +120,4 @@ class TrackSettings:
     own_kidney: OwnKidneySettings = field(default_factory=OwnKidneySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     smoothing: SmoothSettings = field(default_factory=SmoothSettings)
-    certainty: CertaintySettings = field(default_factory=CertaintySettings)
+    certainty: TrackCertaintySettings = field(default_factory=TrackCertaintySettings)

@@ -23,7 +23,7 @@ from ursnav_torch.scaling import scaled
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
-from ursnav_torch.tracking.certainty import TrackCertainty, calyx_shares, spread_of, track_certainty
+from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.filter import ViewFilter
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
@@ -108,7 +108,7 @@ class Tracker:
         self._refiner = Refiner(
             vid, refinement or RefinementSettings(s.challenger.starts + 3, iterations=6, fine_rounds=1)
         )
-        self._full_refinement = self._refiner.settings
+        self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
         self._smooth = PoseFilter(s.smoothing)
         self._extractor = DefaultExtractor(vid.settings, vid.camera)
@@ -221,9 +221,9 @@ class Tracker:
         """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""
         kidney = self.vid.kidney
         observed = observed_calyx(found.T_kidney_camera, kidney, self.lumen)
-        share = calyx_shares(found, observed, calyx, len(kidney.calyces))
-        spread, settings = spread_of(found, T), self.settings.certainty
-        return track_certainty(calyx, share, score, spread, settings, kidney.scale), float(share[calyx])
+        evidence = track_evidence(found, observed, calyx, T, score, kidney.scale)
+        probability = self.settings.certainty.set_probability
+        return track_certainty(evidence, self._weights, probability, kidney.scale), float(evidence.share[calyx])
 
     def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
         """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
