@@ -23,7 +23,7 @@ def evidence(score: float = 0.8, spread_mm: float = 1.0) -> TrackEvidence:
 
 
 def test_a_calyx_with_enough_of_the_probability_is_left_and_the_answer_always() -> None:
-    assert track_certainty(evidence(), WEIGHTS, LEVELS[5], 1.0).calyces == (1, 0)  # 0.15 is asked for
+    assert track_certainty(evidence(), WEIGHTS, LEVELS[6], 1.0).calyces == (1, 0)  # 0.14 is asked for
     assert track_certainty(evidence(), WEIGHTS, LEVELS[8], 1.0).calyces == (1, 0, -1)
     assert track_certainty(evidence(), WEIGHTS, LEVELS[0], 1.0).calyces == (1,)
     assert set(track_certainty(evidence(), WEIGHTS, 0.999, 1.0).calyces) == {-1, 0, 1, 2}
@@ -57,7 +57,7 @@ def test_what_nobody_saw_makes_errors_larger() -> None:
 
 def test_two_ways_leave_what_both_leave() -> None:
     one = track_certainty(evidence(), WEIGHTS, LEVELS[8], 1.0)
-    other = track_certainty(evidence(score=0.9), WEIGHTS, LEVELS[5], 1.0)
+    other = track_certainty(evidence(score=0.9), WEIGHTS, LEVELS[6], 1.0)
     both = joined_certainty([one, other], 1)
     assert both is not None and both.calyces == (1, 0) and both.position_sd_mm == other.position_sd_mm
     assert joined_certainty([], 1) is None
