@@ -8,7 +8,14 @@ from ursnav_torch._runner import caller_path, runner
 @runner("calibrate", paths=("images", "print_board"))
 def main(config: Any) -> None:
     """Compose the board and call `calibration.calibrate_camera` or `calibration.save_board`."""
-    from ursnav_torch.calibration import Board, calibrate_camera, save_board, save_calibration, summary
+    from ursnav_torch.calibration import (
+        Board,
+        calibrate_camera,
+        calibration_files,
+        save_board,
+        save_calibration,
+        summary,
+    )
 
     board = Board(config.board, config.columns, config.rows, config.square_mm, config.marker_mm, str(config.dictionary))
     if config.print_board:
@@ -21,7 +28,7 @@ def main(config: Any) -> None:
     from ursnav_torch.runs.pictures import find_images
 
     out = caller_path(config.out)
-    check_set((out, out.with_suffix(".png")), config.overwrite)
+    check_set(calibration_files(out), config.overwrite)
     base, paths = find_images(str(caller_path(config.images)))
     result = calibrate_camera(
         {path.relative_to(base).as_posix(): read_image(path) for path in paths}, board, config.model

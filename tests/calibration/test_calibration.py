@@ -203,8 +203,17 @@ def test_runner_writes_a_camera_that_loads_and_a_picture(
     assert load_camera(tmp_path / "lens.json").same_lens(load_camera(tmp_path / "lens.json"))
     assert json.loads((tmp_path / "lens.json").read_text())["rms_px"] < 0.25
     assert cv2.imread(str(tmp_path / "lens.png")) is not None
+    mask = load_camera(tmp_path / "lens.json").mask_image()
+    assert mask is not None and np.mean(mask != LENS.pixel_rays()[1]) < 0.02
+    assert "take more pictures with the board at the rim at the " in first.stdout
     again = run(*arguments)
     assert again.returncode == 1 and "exists already" in again.stderr
     assert run("print_board=board.png", "columns=9", "rows=7").returncode == 0
     assert cv2.imread(str(tmp_path / "board.png"), 0).shape[1] > 900
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["board, 1=2 ü", "board.png", "lens.json", "lens.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "board, 1=2 ü",
+        "board.png",
+        "lens.json",
+        "lens.mask.png",
+        "lens.png",
+    ]

@@ -4,18 +4,18 @@ The lens is OpenCV's fisheye: Kannala and Brandt, IEEE TPAMI 28:1335, 2006.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.calibration.board import Board, Corners, find_corners
-from ursnav_torch.camera import Camera, equidistant_camera
+from ursnav_torch.calibration.field import FieldCoverage, field_coverage, picture_mask, round_picture_fov
+from ursnav_torch.camera import Camera, equidistant_camera, mask_text
 from ursnav_torch.errors import InputError
 
 Lens = Callable[..., Camera]
@@ -26,7 +26,6 @@ _LARGEST_FOCAL_ERROR = 0.02  # with all boards parallel, distance and focal leng
 _START_FOV_DEG = (60.0, 80.0, 120.0, 160.0, 200.0)
 # A weak prior, in pixels of residual, tames the lens beyond all corners.
 _USUAL_K = {"equidistant": np.array([0.2, 0.1, 0.05, 0.02]), "plumb_bob": np.array([1.0, 1.0, 1.0, 0.1])}
-_DARK = 16  # gray value that no lit part of the picture stays below in all pictures; or a quarter of the median
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +33,14 @@ class Calibration:
     """A lens and how well it explains the pictures.
 
     Attributes:
-        camera: the lens; ``fov_deg`` is set where the picture is round.
+        camera: the lens; ``fov_deg`` is set where the picture is round, ``mask`` where it does not fill the frame.
         rms_px: root mean square distance of corners from where the lens puts them, over the pictures used.
         rms_by_image: that of each picture used.
         left_out: why each other picture was not used.
         corners: of the pictures used.
         residuals_px: (N, 2) found minus predicted, of all corners used, in the order of ``corners``.
         seen_deg: the largest angle from the optical axis at which corners were seen; beyond, the lens is extrapolated.
+        field: which parts of the picture the corners came to.
     """
 
     camera: Camera
@@ -50,6 +50,7 @@ class Calibration:
     corners: Mapping[str, Corners]
     residuals_px: NDArray[np.float64]
     seen_deg: float
+    field: FieldCoverage
 
 
 def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board, model: str = "equidistant") -> Calibration:
@@ -82,8 +83,15 @@ def calibrate_camera(images: Mapping[str, NDArray[np.uint8]], board: Board, mode
     every = np.concatenate(residuals)
     rays, _ = camera.rays(np.concatenate([corners.pixels for corners in used.values()]))
     seen_deg = math.degrees(float(np.arccos(np.clip(rays[:, 2], -1, 1)).max()))
-    camera = replace(camera, fov_deg=_round_picture_fov(list(images.values()), camera))
-    return Calibration(camera, float(np.sqrt(np.mean(np.sum(every**2, axis=1)))), rms, left_out, used, every, seen_deg)
+    mask = picture_mask(list(images.values()))
+    field = field_coverage(
+        np.concatenate([corners.pixels for corners in used.values()]),
+        np.ones((height, width), bool) if mask is None else mask,
+    )
+    fov_deg = round_picture_fov(list(images.values()), camera)
+    camera = replace(camera, fov_deg=fov_deg, mask=None if mask is None else mask_text(mask))
+    rms_px = float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
+    return Calibration(camera, rms_px, rms, left_out, used, every, seen_deg, field)
 
 
 def _why_not(image: NDArray[np.uint8], board: Board) -> str:
@@ -194,19 +202,3 @@ def _board_pose(corners: Corners, camera: Camera) -> NDArray[np.float64]:
     U, _, Vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
     R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
     return np.concatenate([Rotation.from_matrix(R).as_rotvec(), H[:, 2] - R @ middle])
-
-
-def _round_picture_fov(images: Sequence[NDArray[np.uint8]], camera: Camera) -> float | None:
-    """Full angle of the image circle in degrees where the picture's corners are black in every picture, else None."""
-    gray = [image if image.ndim == 2 else image.max(axis=2) for image in images]
-    brightest = cv2.medianBlur(np.max(gray, axis=0), 3)
-    v, u = np.indices(brightest.shape)
-    radius = np.hypot(u - camera.cx, v - camera.cy)
-    lit_gray = max(_DARK, 0.25 * float(np.median(brightest)))
-    ring = radius.astype(int).ravel()
-    rings = np.bincount(ring, (brightest > lit_gray).ravel()) / np.bincount(ring)
-    lit = np.flatnonzero(rings > 0.5)
-    if len(lit) == 0 or rings[-1] > 0.5 or lit[-1] + 2 >= len(rings):
-        return None
-    rim = camera.rays([camera.cx + lit[-1] + 0.5, camera.cy])[0]
-    return math.degrees(2 * math.acos(float(np.clip(rim[2], -1, 1))))

@@ -43,7 +43,10 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path} is not a markups file of 3D Slicer ({type(error).__name__}: {error}).") from None
+        raise InputError(
+            f"{path} is not a markups file of 3D Slicer: it needs a list markups, each with controlPoints, whose "
+            "position is three numbers. Save it again there."
+        ) from None
     if not any(len(m.points_lps) for m in markups):
         raise InputError(f"{path} holds no point; place the points in 3D Slicer and save them again.")
     return markups

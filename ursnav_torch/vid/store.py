@@ -128,12 +128,14 @@ def _read_description(folder: Path) -> dict[str, Any]:
             f"{folder} is not a finished VID (it has no vid.json): call build_vid again as before, and it goes on "
             "from where it stopped."
         )
+    description = read_json(path, "VID's description")
     try:
-        description = read_json(path, "VID's description")
         format_, files = description["format"], description["sha256"]
         whole = isinstance(files, dict) and description["checksum"] == _checksum(description)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} is not the description of a VID ({type(error).__name__}: {error}).") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"{path} is not the description of a VID: its format, sha256 or checksum is missing. Build the VID again."
+        ) from None
     if format_ != FORMAT:
         raise InputError(f"{folder} has VID format {format_}, this version reads {FORMAT}; build it again.")
     if not whole:
@@ -173,8 +175,10 @@ def _load_kidney(folder: Path, description: dict[str, Any]) -> Kidney:
         pelvis = centerline.points_mm[0]
     try:
         scale, source = float(description["kidney"]["scale"]), str(description["kidney"]["source"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / 'vid.json'} does not describe its kidney ({type(error).__name__}).") from None
+    except (KeyError, TypeError, ValueError):
+        raise InputError(
+            f"{folder / 'vid.json'} does not describe its kidney (scale, a number, and source); build the VID again."
+        ) from None
     return Kidney(mesh, calyces, centerline, pelvis, scale, source)
 
 
