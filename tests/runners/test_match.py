@@ -93,14 +93,16 @@ def test_rows_are_as_the_contract_says(run: Any, vid: Vid, images: Path, picture
     assert (done.code, done.err) == (0, "") and done.out.startswith("5 pictures")
     path = Path("new folder/rows.csv")
     assert path.read_text(encoding="utf-8").splitlines()[0] == (
-        "image,calyx,x_mm,y_mm,z_mm,qx,qy,qz,qw,view,distance,confidence,accepted,seconds,error"
+        "image,calyx,x_mm,y_mm,z_mm,qx,qy,qz,qw,view,distance,confidence,accepted,seconds,error,"
+        "calyces,position_sd_mm,direction_sd_deg"
     )
     rows = read(path)
     assert [row["image"] for row in rows] == ["good.png", "sub/view1.jpeg", "view2.PNG", "view10.png", "zß.bmp"]
     row = rows[0]
     assert row["accepted"] in ("true", "false") and 0 <= float(row["confidence"]) <= 1 and float(row["seconds"]) > 0
     assert np.linalg.norm([float(row[k]) for k in ("qx", "qy", "qz", "qw")]) == pytest.approx(1, abs=1e-5)
-    assert row["calyx"] == vid.calyx_name(int(vid.calyx[3]))
+    assert row["calyx"] == vid.calyx_name(int(vid.calyx[3])) == row["calyces"].split("|")[0]
+    assert float(row["position_sd_mm"]) > 0 and 0 < float(row["direction_sd_deg"]) <= 180
     assert [p.name for p in Path().iterdir()] == ["new folder"], "nothing else is written in the caller's folder"
 
 
