@@ -33,7 +33,7 @@ from benchmarks.shared.kidneys import STYLES, Still, data_folder, kidneys_with, 
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import auroc, calibration_error, wilson
 from ursnav_torch.errors import FeatureError, MissingExtraError, UrsnavError
-from ursnav_torch.features import ThesisSettings, read_image
+from ursnav_torch.features import DefaultSettings, ThesisSettings, read_image
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.matching import Matching, OpenCV, PairCost
@@ -42,6 +42,8 @@ from ursnav_torch.search import SearchSettings, default_matching
 from ursnav_torch.vid import PlanSettings, Vid
 
 DEFAULTS = {"data": "", "work": "", "out": "", "rivals": True}
+#: Kinds of pictures that count as well where every kidney has them.
+MORE_STYLES = ("tissue",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +68,17 @@ class Answer:
 Method = Callable[[Vid], Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]]
 
 
-def ours(search: SearchSettings | None = None, matching: Matching | None = None, refine: bool = False) -> Method:
+def ours(
+    search: SearchSettings | None = None,
+    matching: Matching | None = None,
+    refine: bool = False,
+    relief: str = "learned",
+) -> Method:
     """A choice of our own settings."""
 
     def prepare(vid: Vid) -> Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]:
+        if isinstance(vid.settings, DefaultSettings):
+            vid = replace(vid, settings=replace(vid.settings, relief=relief))
         localizer = Localizer(vid, matching, LocalizationSettings(refine=refine), search)
 
         def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:
@@ -116,6 +125,8 @@ def parts_left_out() -> dict[str, Method]:
     return {
         "default, refined": ours(refine=True),
         "default": ours(),
+        "photometric relief, refined": ours(refine=True, relief="photometric"),
+        "photometric relief": ours(relief="photometric"),
         "edges and shape alone": ours(replace(s, relief_weight=0.0)),
         "without edge-direction maps": ours(replace(s, direction_weight=0.0)),
         "without shape stage": ours(replace(s, shape_weight=0.0)),
@@ -151,7 +162,8 @@ def measure(report: Report, folder: Path, work: Path, rivals: bool) -> None:
     """Every method on every kidney's pictures."""
     names = kidneys_with(folder, *STYLES)
     vids = {k: vid_of(folder, k, work) for k in names}
-    pictures = {s: [still for k in names for still in stills(folder, k, s)] for s in STYLES}
+    styles = [*STYLES, *(s for s in MORE_STYLES if all((folder / k / s / "truth.csv").is_file() for k in names))]
+    pictures = {s: [still for k in names for still in stills(folder, k, s)] for s in styles}
     for name, method in parts_left_out().items():
         answers = ask(method, vids, pictures)
         score(report, name, answers)

@@ -74,3 +74,35 @@ def test_convention_tilts_are_rings_around_no_tilt() -> None:
     np.testing.assert_allclose(axis[1:7].mean(0)[:2], 0.0, atol=1e-9)
     np.testing.assert_allclose(R[:, 0, 1], R[:, 1, 0], atol=1e-9)
     assert tilts(4.0, 0).shape == (1, 3, 3)
+
+
+def test_a_masked_scan_is_the_normalized_correlation_over_what_is_valid() -> None:
+    """Of the very shift and view, computed by hand; what lies where nothing is valid does not matter."""
+    views = torch.stack([maps(seed) for seed in range(6)])
+    weight = torch.tensor([1.0, 0.5, 0.5])
+    valid = torch.ones(RINGS, SECTORS)
+    valid[:2, 10:45] = 0
+    query = views[2] * valid
+    query = torch.stack([query[0] / query[0].norm(), *(query[1:] / query[1:].norm())])
+    found = RollScan(views, weight).scan(query[None], valid=valid[None])
+    for view in range(6):
+        there = views[view] * valid
+        shift = round(float(found.roll[view]) / (2 * np.pi) * SECTORS)
+        turned, seen = torch.roll(views[view], -shift, -1), valid
+        there = turned * seen
+        alike = (query[0] * there[0]).sum() / there[0].norm()
+        alike = alike + 0.5 * (query[1:] * there[1:]).sum() / there[1:].norm()
+        assert float(found.score[view]) >= 0.97 * float(alike) - 0.02
+    assert int(found.score.argmax()) == 2 and abs(float(found.roll[2])) < 0.01
+    assert float(found.score[2]) == pytest.approx(1 + 0.5 * 1.0, abs=0.02)
+
+
+def test_where_all_is_valid_a_masked_scan_is_the_plain_one(scan: RollScan) -> None:
+    query = maps(4, 0.7)[None]
+    query = torch.cat([query[:, :1], query[:, 1:] / 2**0.5], 1)  # a pair of channels is of unit length together
+    views = torch.stack([maps(seed) for seed in range(6)])
+    views = torch.cat([views[:, :1], views[:, 1:] / 2**0.5], 1)
+    scan = RollScan(views, torch.tensor([1.0, 0.5, 0.5]))
+    plain, masked = scan.scan(query), scan.scan(query, valid=torch.ones(1, RINGS, SECTORS))
+    torch.testing.assert_close(masked.score, plain.score, atol=1e-4, rtol=0)
+    torch.testing.assert_close(masked.roll, plain.roll, atol=1e-3, rtol=0)

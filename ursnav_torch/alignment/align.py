@@ -162,8 +162,8 @@ class Aligner:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
         T = state.T_picture_drawing
         pixels, _ = self.grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
-        value, slope, compared = self.grid.sample(picture, pixels)
-        good = drawing.seen * compared
+        value, slope, weight = self.grid.sample(picture, pixels)
+        good = drawing.seen * weight
         count = float(good.sum())
         if count < LEAST_PIXELS:
             return -1.0, None
@@ -175,10 +175,10 @@ class Aligner:
         correlation = (seen * drawn) @ good / count
         gain = np.maximum(correlation, _LEAST_GAIN)[:, None].astype(np.float32)
         residual: Floats = seen - gain * drawn
-        weight = _tukey(residual, good, count)
+        robust = _tukey(residual, good, count)
         gradient = 0.5 * (slope / seen_size + drawing.slope * (gain / drawn_size))
         lit = drawing.lit * (-gain / drawn_size)
-        normal, slant = _normal_equations(drawing.motion, gradient, lit, weight, residual)
+        normal, slant = _normal_equations(drawing.motion, gradient, lit, robust, residual)
         normal += np.diag(_DAMPING * np.diag(normal) + 1e-9)
         if len(drawing.lit):
             prior = _LIGHT_PRIOR * count / SPREAD**2

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.features import DefaultSettings, LocalPlane
+from ursnav_torch.features import DefaultSettings, Features, LocalPlane
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -29,11 +29,13 @@ class Fields:
     Attributes:
         value: (3, H, W).
         slope_x, slope_y: (3, H, W) change per px.
+        weight: (H, W) 0 to 1, how much each pixel counts.
     """
 
     value: Floats
     slope_x: Floats
     slope_y: Floats
+    weight: Floats
 
 
 class AlignGrid:
@@ -70,12 +72,18 @@ class AlignGrid:
             v.numpy().transpose(1, 2, 0)[..., None] for v in (around.columns, around.weights)
         )
 
-    def of_picture(self, relief: Tensor) -> Fields:
-        """Fields of a picture from its relief (h, w) at the extractor's working size."""
+    def of_picture(self, features: Features) -> Fields:
+        """Fields of a picture from its relief, weighted by how much of each pixel is valid."""
+        relief = self._small(features.fields[0])
+        value = self._fields((relief * self.mask)[..., None])[..., 0]
+        weight = self._counted * self._small(features.valid) if features.valid.numel() else self._counted
+        return Fields(*(np.ascontiguousarray(x.transpose(2, 0, 1)) for x in (value, *_slopes(value))), weight)
+
+    def _small(self, image: Tensor) -> Floats:
+        """A picture (h, w) at the extractor's working size at this one (H, W)."""
         size = (self.camera.height, self.camera.width)
-        small = torch.nn.functional.interpolate(relief[None, None], size, mode="bilinear", antialias=True)[0, 0]
-        value = self._fields((small.numpy() * self.mask)[..., None])[..., 0]
-        return Fields(*(np.ascontiguousarray(x.transpose(2, 0, 1)) for x in (value, *_slopes(value))))
+        small = torch.nn.functional.interpolate(image[None, None], size, mode="bilinear", antialias=True)
+        return np.asarray(small[0, 0].numpy(), np.float32)
 
     def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
         """Fields (M, 3, N) of drawings (H, W, M) in gray values 0 to 255, and the first one's slopes (2, 3, N)."""
@@ -93,14 +101,14 @@ class AlignGrid:
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
     def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, Floats]:
-        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px; 1.0 where they are compared (N,)."""
+        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px, and how much each place counts (N,)."""
         x, y = np.ascontiguousarray(pixels.T.astype(np.float32))[:, None]
         parts = np.empty((3, 3, len(pixels)), np.float32)
         for part, of in zip(parts, (fields.value, fields.slope_x, fields.slope_y), strict=True):
             for row, plane in zip(part, of, strict=True):  # rows that lie together are what is fast afterwards
                 cv2.remap(plane, x, y, cv2.INTER_LINEAR, row[None], cv2.BORDER_REPLICATE)
-        compared = cv2.remap(self._counted, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)[0]
-        return parts[0], parts[1:], compared
+        weight = cv2.remap(fields.weight, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)[0]
+        return parts[0], parts[1:], weight
 
     def _fields(self, relief: Floats) -> Floats:
         """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first sets the softness."""

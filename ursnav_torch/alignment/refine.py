@@ -136,7 +136,7 @@ class Refiner:
         coarse, fine = self._aligners
         for aligner, rounds in ((coarse, 1), (fine, self.settings.fine_rounds)):
             with torch.inference_mode():
-                picture = aligner.grid.of_picture(features.fields[0])
+                picture = aligner.grid.of_picture(features)
             for _ in range(rounds):
                 states = [(i, self._once(aligner, picture, state, light_known)) for i, state in states]
                 taken += sum(state.iterations for _, state in states)
@@ -153,7 +153,7 @@ class Refiner:
         """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""
         aligner = self._aligners[-1]
         with torch.inference_mode():
-            picture = aligner.grid.of_picture(features.fields[0])
+            picture = aligner.grid.of_picture(features)
         return aligner.score(picture, refined.drawing, refined.T_kidney_camera, refined.light)
 
     def relief(self, refined: Refined) -> Floats:

@@ -4,8 +4,9 @@ from ursnav_torch.features.base import NO_EDGES, NO_MAPS, EdgePoints, Extractor,
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.flatten import LocalPlane
 from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
-from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps
+from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps, polar_valid
 from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
+from ursnav_torch.features.static import StillPixels, scene_of
 from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
 
 __all__ = [
@@ -20,13 +21,16 @@ __all__ = [
     "LocalPlane",
     "PolarGrid",
     "Settings",
+    "StillPixels",
     "ThesisExtractor",
     "ThesisSettings",
     "check_image",
     "make_extractor",
     "polar_grid",
     "polar_maps",
+    "polar_valid",
     "read_image",
+    "scene_of",
     "settings_from_dict",
     "settings_to_dict",
 ]

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
+from ursnav_torch.features.foreground import Body
+
+#: `Features.valid` of a picture in which nothing lies before the wall.
+NOTHING_BEFORE = torch.zeros(0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,8 @@ class Features:
         contrast: log10 of the median local contrast (in log intensity) of coarse structure: low for a wall or a
             white-out.
         grain: how much more contrast (log10) fine structure has than coarse: high for noise.
+        valid: (h, w) 0 to 1, how much of each pixel of the fields is wall; empty where nothing lies before it.
+        bodies: stones and instruments before the wall, the largest first.
     """
 
     edges: EdgePoints
@@ -54,6 +60,8 @@ class Features:
     fields: Tensor
     contrast: float = 0.0
     grain: float = 0.0
+    valid: Tensor = NOTHING_BEFORE
+    bodies: tuple[Body, ...] = ()
 
 
 class Extractor(Protocol):

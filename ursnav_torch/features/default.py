@@ -1,4 +1,8 @@
-"""The default features: relief edges and polar maps, the same on virtual and real pictures."""
+"""The default features: the wall's relief, its edges and polar maps, alike on virtual and real pictures.
+
+A drawn view's relief is what its light shows. A real picture's is read by the wall network, which knows skin, wet spots
+and stones from walls (`features.network`); ``relief=photometric`` takes it from the light, by hand-made operators.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -8,15 +12,19 @@ from kornia.geometry.transform import resize
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ursnav_torch.camera import Camera
+from ursnav_torch.camera import Camera, mask_text
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features.base import NO_EDGES, EdgePoints, Features
+from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
+from ursnav_torch.features.foreground import find_bodies
 from ursnav_torch.features.image import check_image, signal
+from ursnav_torch.features.network import WallReader
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import check_method, sample
 
+#: Where a real picture's relief comes from.
+RELIEFS = ("learned", "photometric")
 #: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
 COARSE = 0.024
 
@@ -28,6 +36,7 @@ class DefaultSettings:
     Attributes:
         points: edge points kept a picture.
         sampling: how they are chosen, see `features.sampling`.
+        relief: where a real picture's relief comes from, see `RELIEFS`; a drawn view's is photometric.
         working_px: shorter side of the reduced picture on which everything is computed.
         relief_reach: reach of the surroundings that are subtracted from the log picture.
         relief_blur, edge_blurs: smoothing of the relief map, and of the gradient maps (one pair of channels each).
@@ -39,6 +48,7 @@ class DefaultSettings:
 
     points: int = 100
     sampling: str = "farthest"
+    relief: str = "learned"
     working_px: int = 125
     relief_reach: float = 0.048
     relief_blur: float = 0.008
@@ -51,6 +61,8 @@ class DefaultSettings:
 
     def __post_init__(self) -> None:
         check_method(self.sampling)
+        if self.relief not in RELIEFS:
+            raise InputError(f"relief is {self.relief!r}; accepted are {', '.join(map(repr, RELIEFS))}.")
         object.__setattr__(self, "edge_blurs", tuple(float(b) for b in self.edge_blurs))
         if not 4 <= self.min_points <= self.points or self.working_px < 32 or not 0 <= self.low <= self.high <= 100:
             raise InputError(
@@ -75,42 +87,49 @@ class DefaultExtractor:
         self._contour_mask = blur(self._small_mask, rim) > 0.97
         self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
         self._polar = polar_grid(self.working_camera)
+        self._partial = False  # whether pictures show less than the views, which are drawn through the whole lens
+        self._network = WallReader(self.working_camera, self._small_mask) if settings.relief == "learned" else None
 
     def extract(self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True) -> Features:
-        """See `Extractor.extract`; ``virtual`` makes no difference here.
-
-        Without ``edges`` nobody looks for edge points, a third of the work, nor refuses a picture that has few.
-        """
+        """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few."""
         check_image(image, self.camera)
         gray = signal(image)
         refuse_blank(gray, self._mask)
-        log_image = remove_stripes(torch.log(gray + 8), self._mask)
-        small = resize(log_image[None, None], (self.working_camera.height, self.working_camera.width), antialias=True)[
-            0, 0
-        ]
-        s, unit, mask, around = self.settings, self._unit, self._small_mask, self._around
-        small = masked_blur(small, mask, max(s.relief_blur * unit, 0.5))
-        relief = flatten(small, mask, around)
-        contrast = local_contrast(masked_blur(small, mask, COARSE * unit), mask, around)
-        grain = local_contrast(small, mask, around) - contrast
+        log_image = self._small_log(gray)
+        coarse = masked_blur(log_image, self._small_mask, COARSE * self._unit)
+        contrast = local_contrast(coarse, self._small_mask, self._around)
+        grain = local_contrast(log_image, self._small_mask, self._around) - contrast
+        bodies, valid = (), self._small_mask
+        if virtual or self._network is None:
+            relief = flatten(log_image, self._small_mask, self._around)
+        else:
+            relief, before = self._network.read(image)
+            bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
+            valid = self._small_mask * (1 - before.amax(0))
         fields = self._fields(relief)
+        found, edge_image = NO_EDGES, np.zeros(image.shape[:2], bool)
+        if edges:
+            found, edge_image = self._edge_points(relief, valid)
         maps = polar_maps(fields, self._polar)[0]
-        found, edge_image = self._edge_points(relief) if edges else (NO_EDGES, np.zeros(image.shape[:2], bool))
-        return Features(found, maps, edge_image, fields, contrast, grain)
+        if not bodies and not self._partial:
+            valid = NOTHING_BEFORE
+        return Features(found, maps, edge_image, fields, contrast, grain, valid, bodies)
 
-    def with_relief(self, features: Features, relief: Tensor) -> Features:
-        """Features under another relief (h, w), say a corrected one: fields and maps follow it, edge points stay."""
-        fields = self._fields(relief)
-        return replace(features, fields=fields, maps=polar_maps(fields, self._polar)[0])
+    def _small_log(self, gray: Tensor) -> Tensor:
+        """The log of a gray picture (H, W), without stripes, at the working size (h, w), smoothed."""
+        log_image = remove_stripes(torch.log(gray + 8), self._mask)
+        size = (self.working_camera.height, self.working_camera.width)
+        small = resize(log_image[None, None], size, antialias=True)[0, 0]
+        return masked_blur(small, self._small_mask, max(self.settings.relief_blur * self._unit, 0.5))
 
-    def _edge_points(self, relief: Tensor) -> tuple[EdgePoints, NDArray[np.bool_]]:
-        """Edge points of a relief (h, w), sampled, and all edges at the picture's size (H, W).
+    def _edge_points(self, relief: Tensor, valid: Tensor) -> tuple[EdgePoints, NDArray[np.bool_]]:
+        """Edge points of a relief (h, w) where it is valid (h, w), and all edges at the picture's size (H, W).
 
         Raises:
             FeatureError: too few of them.
         """
         s = self.settings
-        ridge = thin_gradient(relief, s.contour_blur * self._unit) * self._contour_mask
+        ridge = thin_gradient(relief, s.contour_blur * self._unit) * self._contour_mask * valid
         edges = self._edges(ridge)
         scale = (self.camera.width / self.working_camera.width, self.camera.height / self.working_camera.height)
         found = edge_points(edges, self._slope(relief, s.contour_blur), ridge, scale)
@@ -121,6 +140,22 @@ class DefaultExtractor:
         keep = sample(found.points.numpy(), s.points, s.sampling, found.weight.numpy())
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
         return found.subset(torch.as_tensor(keep)), full
+
+    def through(self, scene: NDArray[np.bool_]) -> "DefaultExtractor":
+        """The extractor of the same lens where it shows the scene in a part (H, W) alone, see `features.static`.
+
+        Raises:
+            InputError: the part has another size than the lens.
+        """
+        narrow = replace(self.camera, mask=mask_text(self.camera.pixel_rays()[1] & scene))
+        extractor = DefaultExtractor(self.settings, narrow)
+        extractor._partial = True
+        return extractor
+
+    def with_relief(self, features: Features, relief: Tensor) -> Features:
+        """Features under another relief (h, w), say a corrected one: fields and maps follow it, edge points stay."""
+        fields = self._fields(relief)
+        return replace(features, fields=fields, maps=polar_maps(fields, self._polar)[0])
 
     def _fields(self, relief: Tensor) -> Tensor:
         """The relief and its gradients at every scale (C, h, w)."""

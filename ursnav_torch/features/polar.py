@@ -65,8 +65,10 @@ def polar_grid(
     )
 
 
-def polar_maps(fields: Tensor, polar: PolarGrid) -> Tensor:
+def polar_maps(fields: Tensor, polar: PolarGrid, valid: Tensor | None = None) -> Tensor:
     """Polar maps (N, C, R, A) of a picture's fields (C, H, W): relief, then pairs of gradient d/dx, d/dy.
+
+    Where ``valid`` (N, R, A), see `polar_valid`, is below 1 they count less, and where it is 0 they are 0.
 
     The relief has zero mean and unit length. A gradient's angle to the outward direction is doubled, so that
     bright-to-dark and dark-to-bright are one (an edge has no sign), and its strength saturates near the picture's
@@ -74,12 +76,23 @@ def polar_maps(fields: Tensor, polar: PolarGrid) -> Tensor:
     pair has unit length.
     """
     n, channels = len(polar.grid), len(fields)
-    flat = polar.grid.reshape(1, n * polar.grid.shape[1], *polar.grid.shape[2:])
-    sampled = torch.nn.functional.grid_sample(fields[None], flat, align_corners=False, padding_mode="zeros")[0]
-    sampled = sampled.view(channels, n, *polar.grid.shape[1:3]).transpose(0, 1) * polar.inside[:, None]
-    maps = [_relief(sampled[:, :1], polar)]
-    maps += [_directions(sampled[:, c : c + 2], polar) for c in range(1, channels, 2)]
+    sampled = _sampled(fields, polar).view(channels, n, *polar.grid.shape[1:3]).transpose(0, 1)
+    counts = (polar.inside if valid is None else valid)[:, None]
+    sampled = sampled * polar.inside[:, None]
+    maps = [_relief(sampled[:, :1], polar.weight, counts)]
+    maps += [_directions(sampled[:, c : c + 2], polar, counts) for c in range(1, channels, 2)]
     return torch.cat(maps, 1)
+
+
+def polar_valid(valid: Tensor, polar: PolarGrid) -> Tensor:
+    """How much of each sample (N, R, A) is valid, from the picture's own (H, W); 0 beyond the picture."""
+    return _sampled(valid[None], polar).view(polar.inside.shape) * polar.inside
+
+
+def _sampled(fields: Tensor, polar: PolarGrid) -> Tensor:
+    """Fields (C, H, W) at all places of a grid, (C, N R, A)."""
+    flat = polar.grid.reshape(1, -1, *polar.grid.shape[2:])
+    return torch.nn.functional.grid_sample(fields[None], flat, align_corners=False, padding_mode="zeros")[0]
 
 
 def _rays(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -93,18 +106,18 @@ def _turned(rays: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.flo
     return np.einsum("nij,raj->nrai", R, rays)
 
 
-def _relief(relief: Tensor, polar: PolarGrid) -> Tensor:
-    area = polar.weight * polar.inside[:, None]
+def _relief(relief: Tensor, weight: Tensor, counts: Tensor) -> Tensor:
+    area = weight * counts
     mean = (relief * area).sum((2, 3), keepdim=True) / area.sum((2, 3), keepdim=True).clamp_min(1e-9)
-    return _unit_length((relief - mean) * polar.inside[:, None] * polar.weight.sqrt())
+    return _unit_length((relief - mean) * counts * weight.sqrt())
 
 
-def _directions(gradient: Tensor, polar: PolarGrid, softness: float = 0.9) -> Tensor:
+def _directions(gradient: Tensor, polar: PolarGrid, counts: Tensor, softness: float = 0.9) -> Tensor:
     z = torch.complex(gradient[:, 0], gradient[:, 1]) * polar.outward.conj()
     strength = z.abs()
     half = softness * strength[0].median() + 1e-9
     doubled = z * z / (strength * strength + half * half) * polar.weight.sqrt()
-    return _unit_length(torch.stack([doubled.real, doubled.imag], 1))
+    return _unit_length(torch.stack([doubled.real, doubled.imag], 1) * counts)
 
 
 def _unit_length(field: Tensor) -> Tensor:

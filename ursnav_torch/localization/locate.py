@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from ursnav_torch.alignment import RefinementSettings, Refiner
-from ursnav_torch.features import Features, Settings
+from ursnav_torch.features import DefaultExtractor, Features, Settings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location
@@ -166,6 +166,11 @@ class Localizer:
         """Features of a picture (H, W) or (H, W, 3) blue, green, red, as `locate` extracts them; the same errors."""
         with one_thread_an_operation():
             return self._extractor.extract(image)
+
+    def narrow(self, scene: NDArray[np.bool_]) -> None:
+        """From now on pictures show the scene in a part (H, W) of the lens alone, see `features.scene_of`."""
+        if isinstance(self._extractor, DefaultExtractor):
+            self._extractor = self._extractor.through(scene)
 
     def _mean_of_views(self, ranking: Ranking, row: int) -> Array:
         """The weighted mean (4, 4) of the hypotheses at the place of one of them, weighted as their views vote."""

@@ -4,15 +4,20 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ursnav_torch.columns import MATCH_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import read_image
+from ursnav_torch.features import read_image, scene_of
 from ursnav_torch.files import Progress, fingerprint, write_csv
 from ursnav_torch.localization import Localizer
 from ursnav_torch.reports import MatchReport
 from ursnav_torch.results import check_set, whole_set
 from ursnav_torch.runs.journal import Journal
 from ursnav_torch.runs.pictures import find_images, locate_files
+
+#: Pictures that are looked at for what never changes in them.
+_LOOKED_AT = 32
 
 
 def check_results(out: Path, report: Path | None, overwrite: bool) -> None:
@@ -63,6 +68,7 @@ def match_images(
     with whole_set(_results(out, report), overwrite, work, resume=True) as whole:
         if whole.outcome is None:
             names = [path.relative_to(base).as_posix() for path in paths]
+            _narrow(localizer, paths)
             journal = Journal(whole.folder / "journal.jsonl", work, names)
             page = None if report is None else _page(whole.staged(report), localizer, journal)
             rows = _located(localizer, base, paths, journal, page, progress, truth or {})
@@ -71,6 +77,15 @@ def match_images(
             write_csv(whole.staged(out), MATCH_COLUMNS, rows)
             whole.outcome = rows
     return list(whole.outcome)
+
+
+def _narrow(localizer: Localizer, paths: list[Path]) -> None:
+    """Let the localizer leave out what never changes in pictures spread over all: a narrower mask, burnt-in text."""
+    rows = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), _LOOKED_AT)).round().astype(int))
+    shown = [image for row in rows if (image := _readable(paths[row])) is not None]
+    scene = scene_of(shown, localizer.vid.camera.pixel_rays()[1])
+    if scene is not None:
+        localizer.narrow(scene)
 
 
 def _results(out: Path, report: Path | None) -> tuple[Path, ...]:

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.features import Features, polar_grid, polar_maps
+from ursnav_torch.features import Features, PolarGrid, polar_grid, polar_maps, polar_valid
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.matching import Matching
 from ursnav_torch.search.ranking import Ranking, view_from_query
-from ursnav_torch.search.scan import RollScan, tilts
+from ursnav_torch.search.scan import RollScan, ScanResult, tilts
 from ursnav_torch.search.settings import SearchSettings, best_first, default_matching
 from ursnav_torch.search.shape import ShapeStage
 from ursnav_torch.vid import Vid
@@ -48,7 +49,8 @@ class ViewSearch:
         compares = s.shape_weight > 0 or not scans
         self._shape = ShapeStage(vid.features, vid.camera, self.matching) if compares else None
         self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
-        self._grids = polar_grid(working_camera or vid.extractor().working_camera, self._tilts)
+        lens = working_camera or vid.extractor().working_camera
+        self._straight, self._grids = polar_grid(lens), polar_grid(lens, self._tilts)
 
     @property
     def scans(self) -> bool:
@@ -69,7 +71,7 @@ class ViewSearch:
         if self._scan is None or not features.maps.numel():
             found = self._by_shape(features)
             return _rows(found, best_first(found.score, s.finalists))
-        straight = self._scan.scan(features.maps[None]).score
+        straight = self._scanned(features, self._straight).score
         views = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
         found = self.at_tilts(features, views)
         found = self.with_shapes(features, _rows(found, best_first(found.score, s.finalists)))
@@ -77,17 +79,12 @@ class ViewSearch:
 
     def everywhere(self, features: Features) -> Ranking:
         """Every view of the VID, in its order, at the roll that suits it best and no tilt."""
-        assert self._scan is not None
-        found = self._scan.scan(features.maps[None])
+        found = self._scanned(features, self._straight)
         return self._ranking(np.arange(len(self._T)), found.score.numpy(), found.roll.numpy(), np.eye(3))
 
     def at_tilts(self, features: Features, views: Rows) -> Ranking:
-        """Views (K,), in their order, each at the tilt and roll that suit it best.
-
-        What a ring's sector of the picture counts would enter here, beside the maps.
-        """
-        assert self._scan is not None
-        found = self._scan.scan(polar_maps(features.fields, self._grids), torch.from_numpy(views))
+        """Views (K,), in their order, each at the tilt and roll that suit it best."""
+        found = self._scanned(features, self._grids, torch.from_numpy(views))
         return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
 
     def with_shapes(self, features: Features, found: Ranking) -> Ranking:
@@ -101,6 +98,15 @@ class ViewSearch:
         assignment = self._shape.finalists(features.edges, torch.from_numpy(found.views), found.R_view_query)
         score = found.score + weight * (1 - assignment.distance.numpy().astype(float))
         return replace(found, score=score, best_score=found.best_score + weight, assignment=assignment)
+
+    def _scanned(self, features: Features, grids: PolarGrid, views: Tensor | None = None) -> ScanResult:
+        """The scan of what is wall in a picture, through the cameras of the grids."""
+        assert self._scan is not None
+        if features.valid.numel():
+            valid = polar_valid(features.valid, grids)
+            return self._scan.scan(polar_maps(features.fields, grids, valid), views, valid)
+        straight = grids is self._straight
+        return self._scan.scan(features.maps[None] if straight else polar_maps(features.fields, grids), views)
 
     def _by_shape(self, features: Features) -> Ranking:
         """Every view of the VID, in its order, by shape distance alone."""

@@ -16,7 +16,7 @@ from torch import Tensor
 from ursnav_torch.alignment import RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import NO_EDGES, NO_MAPS, DefaultExtractor, DefaultSettings, Features
+from ursnav_torch.features import NO_EDGES, NO_MAPS, DefaultExtractor, DefaultSettings, Features, StillPixels
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
@@ -36,6 +36,7 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
+_LOOKED_AT = (12, 24, 48, 96)  # after so many pictures it is looked for what never changes in them
 _NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
@@ -147,6 +148,7 @@ class Tracker:
         self._test = OwnKidneyTest(self.settings.own_kidney)
         self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
         self._pursuit.reset()
+        self._still = StillPixels(self.vid.camera.pixel_rays()[1])
 
     def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
         """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
@@ -168,12 +170,22 @@ class Tracker:
             InputError: see `step`.
         """
         read = self._filter.search.reads_edges
+        self._look_for_the_scene(image)
         with torch.inference_mode(), one_thread_an_operation():
             try:
                 return self._extractor.extract(image, edges=edges or read)
             except FeatureError:
                 pass
         return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
+
+    def _look_for_the_scene(self, image: NDArray[np.uint8]) -> None:
+        """Leave out what never changes in the first pictures: a narrower mask, burnt-in text."""
+        looked = self._still.count
+        if looked < _LOOKED_AT[-1] and image.shape[:2] == (self.vid.camera.height, self.vid.camera.width):
+            self._still.add(image)
+            scene = self._still.scene() if looked + 1 in _LOOKED_AT else None
+            if scene is not None:
+                self._extractor = self._extractor.through(scene)
 
     def recall(self, relief: Tensor) -> Features:
         """What `follow` needs, from no more than the relief (h, w) of what `extract` gave, ``fields[0]``."""

@@ -1,0 +1,90 @@
+"""Teaches the network that reads walls and writes its weights: ``python -m benchmarks.wall_network work=DIR``.
+
+It learns from simulated pictures of phantoms alone, most of them of the preset `WIDE`; phantoms with other seeds are
+kept back. Arguments, each ``key=value``: ``work=DIR`` (keeps what was drawn; the same call goes on from there),
+``phantoms=32``, ``kept_back=2``, ``pictures=120000`` (samples of the training), ``seed=0``, ``threads=2`` (the same
+seed and threads give the same weights), ``workers=2`` (processes that draw), ``weights=FILE`` (the package's own
+when empty), ``out=FILE.json``.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import torch
+from safetensors.torch import save
+
+from benchmarks.shared.results import Report, overrides
+from benchmarks.wall_network.pictures import lesson
+from benchmarks.wall_network.targets import Batch, batch_of, join
+from benchmarks.wall_network.train import train, validate
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import network as network_module
+from ursnav_torch.features.network import WEIGHTS, WallNetwork
+
+DEFAULTS = {
+    "work": "", "phantoms": 32, "kept_back": 2, "pictures": 120_000, "seed": 0, "threads": 2, "workers": 2,
+    "weights": "", "out": "",
+}  # fmt: skip
+#: First seeds of the phantoms learned from, and of those kept back.
+LEARNED_FROM, KEPT_BACK = 7000, 8000
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Draw what is not drawn yet, teach, judge, write."""
+    settings = overrides(DEFAULTS, arguments)
+    if not settings["work"]:
+        raise InputError("work= must name a folder for the pictures drawn (about 20 MB a phantom).")
+    work = Path(settings["work"])
+    work.mkdir(parents=True, exist_ok=True)
+    learned = range(LEARNED_FROM, LEARNED_FROM + settings["phantoms"])
+    kept = range(KEPT_BACK, KEPT_BACK + settings["kept_back"])
+    draw([*learned, *kept], work, settings["workers"])
+    lessons, kept_back = taken(learned, work), taken(kept, work)
+    network = train(lessons, kept_back, settings["pictures"], settings["seed"], settings["threads"])
+    where = Path(settings["weights"] or Path(network_module.__file__).with_name(WEIGHTS))
+    write_weights(network, where)
+    report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "weights", "out")})
+    for name, value in validate(network, kept_back).items():
+        report.add("phantoms kept back, loss", name.replace("_", " "), "", [value], n=len(kept_back))
+    report.add("size", "weights", "", [sum(p.numel() for p in network.parameters())])
+    report.add("size", "file", "kB", [where.stat().st_size / 1e3])
+    print(report.table())
+    print(f"\nweights: {where}\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    return 0
+
+
+def draw(seeds: Sequence[int], work: Path, workers: int) -> None:
+    """Draw the lessons of phantoms that the folder does not hold."""
+    missing = [seed for seed in seeds if not (work / f"{seed}.npz").exists()]
+    with ProcessPoolExecutor(max(workers, 1), mp_context=get_context("spawn")) as pool:
+        for done, _ in enumerate(pool.map(_drawn, missing, [work] * len(missing))):
+            print(f"drawn {done + 1} of {len(missing)} phantoms", file=sys.stderr, flush=True)
+
+
+def _drawn(seed: int, work: Path) -> None:
+    lesson(seed, work)
+
+
+def taken(seeds: Sequence[int], work: Path) -> Batch:
+    """The lessons of several phantoms as one batch."""
+    parts = []
+    torch.set_num_threads(1)  # a picture at a time is too little to share
+    for seed in seeds:
+        found = lesson(seed, work)
+        if found is not None:
+            parts.append(batch_of(found))
+    return join(parts)
+
+
+def write_weights(network: WallNetwork, path: Path) -> None:
+    """Weights in half precision, as safetensors, whole or not at all."""
+    state = {
+        name: value.half().contiguous() for name, value in network.state_dict().items() if value.is_floating_point()
+    }
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(save(state))
+    os.replace(partial, path)

@@ -1,0 +1,141 @@
+"""What the wall network learns from: phantoms drawn through random lenses, with faults wider than the world."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.camera import Camera, equidistant_camera, pinhole_camera
+from ursnav_torch.errors import UrsnavError
+from ursnav_torch.features.network import NATIVE_PX
+from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
+from ursnav_torch.rendering import RaycastRenderer, WarpSettings, deform_mesh
+from ursnav_torch.rendering.sensor.presets import IN_VIVO_LIKE, THESIS_PHANTOM, THESIS_SIMULATION, WIDE, draw_faults
+from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate_labeled
+from ursnav_torch.vid import PlanSettings, plan_views
+
+#: Pictures of a phantom, and how many of them share a lens and a deformation.
+PER_PHANTOM, PER_LENS = 160, 20
+MODELS = ("equidistant", "pinhole")
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """Pictures of one phantom and what is true of them, N of size S.
+
+    Attributes:
+        picture: (N, S, S, 3) uint8, blue green red.
+        clean: (N, S, S) uint8, the view as a VID would hold it.
+        depth_mm: (N, S, S) float16, 0 without a wall.
+        kind: (N, S, S) uint8, see `rendering.sensor.bodies`.
+        lens: (N, 3) row of `MODELS`, focal length in px, field of view in degrees or 0.
+    """
+
+    picture: NDArray[np.uint8]
+    clean: NDArray[np.uint8]
+    depth_mm: NDArray[np.float16]
+    kind: NDArray[np.uint8]
+    lens: NDArray[np.float64]
+
+    def camera(self, row: int) -> Camera:
+        """The lens of one picture."""
+        model, focal, fov = self.lens[row]
+        size, middle = self.picture.shape[1], (self.picture.shape[1] - 1) / 2
+        return Camera(MODELS[int(model)], size, size, focal, focal, middle, middle, fov_deg=fov or None)
+
+
+def lesson(seed: int, folder: Path) -> Lesson | None:
+    """The lesson of one phantom, drawn where the folder does not hold it; None where the phantom cannot be planned."""
+    path = folder / f"{seed}.npz"
+    if not path.exists():
+        drawn = draw_lesson(seed)
+        if drawn is None:
+            return None
+        partial = folder / f"{seed}.partial.npz"
+        np.savez(partial, **{name: getattr(drawn, name) for name in Lesson.__slots__})
+        os.replace(partial, path)
+    with np.load(path) as data:
+        return Lesson(*(data[name] for name in Lesson.__slots__))
+
+
+def draw_lesson(seed: int) -> Lesson | None:
+    """Pictures of one phantom from places all over it; None where its plan has too few."""
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(seed)
+    try:
+        kidney = make_phantom_kidney(seed)
+        plan = plan_views(kidney, LumenDistance.from_kidney(kidney), _plan(seed))
+    except UrsnavError:
+        return None
+    order = rng.permutation(len(plan.calyx))[:PER_PHANTOM]
+    pictures, clean, depth, kind, lenses = [], [], [], [], []
+    for number, view in enumerate(order):
+        if number % PER_LENS == 0:
+            renderer = _renderer(kidney, rng)
+        T = plan.T_kidney_camera[view]
+        drawn = renderer.render(T)
+        labeled = simulate_labeled(drawn, renderer.camera, T, _faults(rng), rng)
+        image = labeled.image
+        if rng.random() < 0.05:  # a gray camera
+            image = np.repeat(image.mean(2, keepdims=True).astype(np.uint8), 3, 2)
+        pictures.append(image)
+        clean.append(drawn.image)
+        depth.append(np.where(np.isfinite(drawn.depth_mm), drawn.depth_mm, 0).astype(np.float16))
+        kind.append(labeled.kind)
+        lenses.append([MODELS.index(renderer.camera.model), renderer.camera.fx, renderer.camera.fov_deg or 0])
+    return Lesson(np.array(pictures), np.array(clean), np.array(depth), np.array(kind), np.array(lenses, float))
+
+
+def _plan(seed: int) -> PlanSettings:
+    """Places and directions wider than a VID's: a scope looks anywhere."""
+    return PlanSettings(
+        views_per_calyx=40, passage_views=120, tilt_deg=24, largest_tilt_deg=70, nearest_mm=1.5, farthest_mm=18,
+        roll_deg=180, seed=seed,
+    )  # fmt: skip
+
+
+def _renderer(kidney: Kidney, rng: Rng) -> RaycastRenderer:
+    """A random lens, and in every other case a kidney that has moved and swollen since its scan."""
+    if rng.random() < 0.75:
+        camera = equidistant_camera(rng.uniform(90, 170), NATIVE_PX, NATIVE_PX)
+    else:
+        camera = pinhole_camera(rng.uniform(60, 100), NATIVE_PX, NATIVE_PX)
+    mesh = kidney.mesh
+    if rng.random() < 0.5:
+        warp = WarpSettings(
+            amplitude_mm=rng.uniform(0.3, 1.5), wavelength_mm=rng.uniform(18, 45), distension=rng.uniform(0, 0.1)
+        )
+        mesh = deform_mesh(mesh, warp, rng).mesh
+    return RaycastRenderer(mesh, camera)
+
+
+def _faults(rng: Rng) -> SensorFaults:
+    """Four of five pictures `WIDE`, most of them through a good sensor; the others of the kinds named in the thesis."""
+    u = rng.random()
+    wide = u < 0.8
+    preset = WIDE if wide else IN_VIVO_LIKE if u < 0.9 else THESIS_PHANTOM if u < 0.97 else THESIS_SIMULATION
+    faults = draw_faults(preset, rng)
+    if wide and rng.random() < 0.6:
+        faults = _good_sensor(faults, rng)
+    if rng.random() < 0.08:
+        faults = replace(faults, wall=replace(faults.wall, color_bgr=(faults.wall.color_bgr[1],) * 3))
+    return faults
+
+
+def _good_sensor(faults: SensorFaults, rng: Rng) -> SensorFaults:
+    """The same scene through a clean lens and a quiet sensor: then what is hard is the scene."""
+    share = rng.uniform(0, 0.35)
+    fainter = ("defocus_px", "motion_px", "veil", "bloom", "halo", "vignetting")
+    optics = replace(faults.optics, **{name: getattr(faults.optics, name) * share for name in fainter}, stripes=0.0)
+    electronics = replace(
+        faults.electronics, shot_noise=faults.electronics.shot_noise * share,
+        read_noise=faults.electronics.read_noise * share, jpeg_quality=90,
+    )  # fmt: skip
+    occluders = faults.occluders
+    if rng.random() >= 0.3:
+        occluders = replace(occluders, debris=0, bubbles=0, blood=0.0)
+    return replace(faults, optics=optics, electronics=electronics, occluders=occluders)

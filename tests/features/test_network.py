@@ -1,0 +1,113 @@
+"""The wall network: shapes for any size, one function before and after folding, and what it must be able to do."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from ursnav_torch.camera import Camera, equidistant_camera, pinhole_camera
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.network import (
+    CELL,
+    FOREGROUND,
+    WallNetwork,
+    WallReader,
+    fold,
+    lens_rays,
+    packaged_network,
+    read_wall,
+)
+from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering.sensor.bodies import STONE, BodyFaults
+from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate_labeled
+from ursnav_torch.vid import Vid
+
+
+@pytest.mark.parametrize(("width", "height"), [(128, 128), (125, 125), (140, 97), (33, 32)])
+def test_pictures_of_any_size_are_read(width: int, height: int) -> None:
+    picture, rays = torch.rand(2, 3, height, width) * 255, torch.rand(2, 3, height, width)
+    found = read_wall(picture, rays)
+    assert found.relief.shape[0] == 2 and found.relief.shape[1] >= height and found.relief.shape[2] >= width
+    assert found.odds.shape[1] == len(FOREGROUND) and found.odds.shape[2] == found.relief.shape[1] // CELL
+    assert torch.isfinite(found.relief).all()
+
+
+def test_no_pictures_give_no_readings() -> None:
+    assert WallNetwork().eval()(torch.zeros(0, 3, 32, 32), torch.zeros(0, 3, 32, 32)).relief.shape == (0, 32, 32)
+
+
+def test_folding_batch_norms_changes_nothing() -> None:
+    torch.manual_seed(3)
+    network = WallNetwork()
+    x = torch.rand(4, 3, 64, 64) * 255, torch.rand(4, 3, 64, 64)
+    network(*x)  # batch norms learn something
+    before = network.eval()(*x)
+    after = fold(network.requires_grad_(False))(*x)
+    torch.testing.assert_close(after.relief, before.relief, atol=1e-4, rtol=1e-3)
+    torch.testing.assert_close(after.odds, before.odds, atol=1e-4, rtol=1e-3)
+
+
+def test_the_packaged_network_is_as_small_as_promised() -> None:
+    assert sum(p.numel() for p in WallNetwork().parameters()) <= 300_000
+    assert not packaged_network().training and packaged_network() is packaged_network()
+
+
+@pytest.mark.parametrize("lens", [equidistant_camera(160.0, 250, 250), pinhole_camera(80.0, 320, 240)])
+def test_rays_are_zero_outside_the_lens(lens: Camera) -> None:
+    rays = lens_rays(lens)
+    assert rays.shape == (3, lens.height, lens.width)
+    assert float(rays[:2][:, rays[2] == 0].abs().sum()) == 0
+    assert rays[0, lens.height // 2, -lens.width // 4] > 0 > rays[0, lens.height // 2, lens.width // 4]
+
+
+def test_gray_and_equal_color_pictures_read_alike() -> None:
+    lens = equidistant_camera(160.0, 125, 125)
+    reader = WallReader(lens, torch.ones(125, 125))
+    gray = np.random.default_rng(0).integers(30, 200, (250, 250), dtype=np.uint8)
+    one, three = reader.read(gray), reader.read(np.repeat(gray[..., None], 3, 2))
+    torch.testing.assert_close(one[0], three[0])
+    assert one[0].shape == one[1].shape == (125, 125)
+
+
+def test_a_plain_view_reads_as_its_own_relief(vid: Vid, phantom: Kidney) -> None:
+    """What the network is there for: the drawn view's relief, from a picture under another light and skin."""
+    renderer = RaycastRenderer(phantom.mesh, vid.camera)
+    drawn = DefaultExtractor(DefaultSettings(), vid.camera)
+    alike = []
+    for T in vid.T_kidney_camera[::7]:
+        image = renderer.render(T).image
+        truth, read = (drawn.extract(image, virtual=virtual).fields[0] for virtual in (True, False))
+        alike.append(float(torch.corrcoef(torch.stack([truth.flatten(), read.flatten()]))[0, 1]))
+    assert np.median(alike) > 0.7
+
+
+def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
+    """Where a stone lies the picture is not valid, elsewhere it is."""
+    renderer, rng = RaycastRenderer(phantom.mesh, vid.camera), np.random.default_rng(5)
+    extractor = DefaultExtractor(DefaultSettings(), vid.camera)
+    on, off = [], []
+    for T in vid.T_kidney_camera[::5]:
+        seen = simulate_labeled(renderer.render(T), vid.camera, T, SensorFaults(bodies=BodyFaults(stones=1)), rng)
+        stone = cv2.resize((seen.kind == STONE).astype(np.float32), (125, 125), interpolation=cv2.INTER_AREA)
+        valid = extractor.extract(seen.image).valid
+        if not 0.02 < stone.mean() < 0.4 or not valid.numel():
+            continue
+        on.append(float(valid[torch.from_numpy(stone > 0.9)].mean()))
+        off.append(float(valid[torch.from_numpy(stone == 0) & (valid > 0)].mean()))
+    assert len(on) >= 3 and np.median(on) < 0.35 and np.median(off) > 0.85
+
+
+def test_drawn_views_and_photometric_relief_ask_no_network(vid: Vid, phantom: Kidney) -> None:
+    image = RaycastRenderer(phantom.mesh, vid.camera).render(vid.T_kidney_camera[3]).image
+    learned, plain = (DefaultExtractor(DefaultSettings(relief=relief), vid.camera)
+                      for relief in ("learned", "photometric"))  # fmt: skip
+    torch.testing.assert_close(learned.extract(image, virtual=True).fields, plain.extract(image).fields)
+    assert not plain.extract(image).valid.numel()
+    assert not torch.equal(learned.extract(image).fields, plain.extract(image).fields)
+
+
+def test_an_unknown_relief_is_refused() -> None:
+    with pytest.raises(InputError, match=r"relief is 'deep'; accepted are 'learned', 'photometric'"):
+        DefaultSettings(relief="deep")

@@ -1,0 +1,60 @@
+"""Stones and instruments as regions: connected parts of the network's odds, each with a kind and a probability."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import label, regionprops
+from torch import Tensor
+
+#: What becomes a region, in the order of the network's odds; clutter is too small and too many.
+KINDS = ("stone", "instrument")
+#: A region's pixels are at least this probable, and its surest this much.
+_EDGE, _SURE = 0.4, 0.6
+#: Share of the picture that a region covers at least.
+_SMALLEST = 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A region before the wall.
+
+    Attributes:
+        kind: one of `KINDS`.
+        probability: that there is such a body, 0 to 1: the mean of the surest quarter of its pixels.
+        center_px: (2,) x and y of its middle, px of the picture.
+        size_px: diameter of the circle of its area, px of the picture.
+        share: of the picture that it covers, 0 to 1.
+        mask: (h, w) bool, its pixels at the extractor's working size.
+    """
+
+    kind: str
+    probability: float
+    center_px: tuple[float, float]
+    size_px: float
+    share: float
+    mask: NDArray[np.bool_]
+
+
+def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[Body, ...]:
+    """Bodies in a picture, the largest first.
+
+    Args:
+        probability: (2, h, w) of each of `KINDS`.
+        mask: (h, w) 1.0 inside the picture.
+        scale: px of the picture a px here.
+    """
+    p, area = (probability * mask).numpy(), float(mask.sum())
+    kinds = p.argmax(0)
+    found = []
+    for row, kind in enumerate(KINDS):
+        for region in regionprops(label((p[row] > _EDGE) & (kinds == row), connectivity=2)):
+            inside = np.zeros(p.shape[1:], bool)
+            inside[tuple(region.coords.T)] = True
+            values = np.sort(p[row][inside])
+            sure = float(values[-max(1, len(values) // 4) :].mean())
+            if sure >= _SURE and region.area >= _SMALLEST * area:
+                y, x = ((c + 0.5) * scale - 0.5 for c in region.centroid)
+                size = float(np.sqrt(4 * region.area / np.pi)) * scale
+                found.append(Body(kind, sure, (float(x), float(y)), size, float(region.area / area), inside))
+    return tuple(sorted(found, key=lambda body: -body.share))

@@ -1,0 +1,166 @@
+"""A small U-Net that reads a picture as its virtual view: the wall's relief without skin, and what lies before it.
+
+A vessel, a wet spot or a shadow is relief to any operator that sees intensities alone; a network that has seen many
+skins on known walls tells them apart. It predicts, for each pixel, the relief that the same wall has under the
+virtual camera's own light (what `flatten` makes of the drawn view), how sure it is of that (Kendall and Gal, NeurIPS
+2017), the wall's log depth, and the odds of a stone, an instrument and clutter.
+
+Its weights lie beside it and are made by ``python -m benchmarks.wall_network``.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import load as load_weights
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ursnav_torch.camera import Camera
+
+#: Sides of a picture are padded to a multiple of this many px: cells of 4 px are halved in size twice.
+MULTIPLE = 16
+#: Shorter side in px of the pictures it has learned from.
+NATIVE_PX = 128
+#: What lies before the wall, in the order of the network's odds.
+FOREGROUND = ("stone", "instrument", "clutter")
+WEIGHTS = "wall_network.safetensors"
+#: Px of the picture, each way, that the network sees as one.
+CELL = 4
+_WIDTHS = (32, 64, 96)
+_MEAN_LOG = 4.3  # of a picture's log values, about
+
+
+@dataclass(frozen=True, slots=True)
+class WallReading:
+    """What the network says of N pictures (H, W), all but the relief once a cell, (h, w) = (H / 4, W / 4).
+
+    Attributes:
+        relief: (N, H, W) as `features.flatten.flatten` would give it for the drawn view.
+        log_variance: (N, h, w) of the relief.
+        log_depth: (N, h, w) log of the wall's distance, less an unknown constant.
+        depth_log_variance: (N, h, w) of that.
+        odds: (N, 3, h, w) logits of `FOREGROUND`.
+    """
+
+    relief: Tensor
+    log_variance: Tensor
+    log_depth: Tensor
+    depth_log_variance: Tensor
+    odds: Tensor
+
+
+class WallNetwork(nn.Module):
+    """The U-Net, 0.28 million weights; pictures (N, 3, H, W) and rays (N, 3, H, W) in, `WallReading` out.
+
+    It works at a quarter of the picture's size: 4 x 4 px go in at once, and the relief's come out as channels (Shi et
+    al., CVPR 2016), which is what makes it fast enough for a camera on one core.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        a, b, c = _WIDTHS
+        self.down1 = nn.Sequential(_Block(6, a, size=CELL, stride=CELL), _Block(a, a))
+        self.down2 = nn.Sequential(_Block(a, b, stride=2), _Block(b, b))
+        self.down3 = nn.Sequential(_Block(b, c, stride=2), _Block(c, c))
+        self.whole = nn.Linear(c, c)
+        self.up2 = nn.Sequential(_Block(c + b, b, size=1), _Block(b, b))
+        self.up1 = nn.Sequential(_Block(b + a, a, size=1), _Block(a, a))
+        self.head = nn.Conv2d(a, CELL * CELL + 3 + len(FOREGROUND), 3, padding=1)
+
+    def forward(self, picture_bgr: Tensor, rays: Tensor) -> WallReading:
+        """Read pictures (N, 3, H, W), 0 to 255, with unit rays' x and y and the lens's mask (N, 3, H, W)."""
+        log_image = (torch.log(picture_bgr + 8) - _MEAN_LOG) * rays[:, 2:]
+        x = torch.cat([log_image, rays], 1).contiguous(memory_format=torch.channels_last)
+        fine = self.down1(x)
+        middle = self.down2(fine)
+        coarse = self.down3(middle)
+        coarse = coarse + functional.silu(self.whole(coarse.mean((2, 3))))[..., None, None]
+        y = self.up1(_beside(self.up2(_beside(coarse, middle)), fine))
+        y, cells = self.head(y), CELL * CELL
+        relief = functional.pixel_shuffle(y[:, :cells], CELL)[:, 0]
+        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], y[:, cells + 3 :])
+
+
+def read_wall(picture_bgr: Tensor, rays: Tensor, network: WallNetwork | None = None) -> WallReading:
+    """What the network, the package's own by default, says of pictures (N, 3, H, W) of any size, see `WallNetwork`."""
+    height, width = picture_bgr.shape[-2:]
+    pad = (0, -width % MULTIPLE, 0, -height % MULTIPLE)
+    picture_bgr, rays = (functional.pad(x, pad) for x in (picture_bgr, rays))  # as it is outside the lens
+    return (network or packaged_network())(picture_bgr, rays)
+
+
+class WallReader:
+    """Reads pictures of one lens, at the working size of an extractor.
+
+    Args:
+        working_camera: the lens at that size.
+        mask: (h, w) 1.0 where the reduced picture is to be trusted.
+    """
+
+    def __init__(self, working_camera: Camera, mask: Tensor) -> None:
+        self._size, self._mask, self._rays = (
+            (working_camera.width, working_camera.height),
+            mask,
+            lens_rays(working_camera),
+        )
+
+    def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
+        """The wall's relief (h, w) in a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or
+        an instrument before it; clutter is small, and the relief knows of it."""
+        small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+        color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
+        picture = torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
+        found = read_wall(picture, self._rays[None])
+        solid = functional.interpolate(found.odds[:, :2], scale_factor=CELL, mode="bilinear", align_corners=False)
+        width, height = self._size
+        return found.relief[0, :height, :width] * self._mask, solid[0, :, :height, :width].sigmoid()
+
+
+def lens_rays(camera: Camera) -> Tensor:
+    """The network's second input (3, H, W): x and y of the unit rays and the mask, zero outside."""
+    rays, inside = camera.pixel_rays()
+    mask = torch.from_numpy(inside).float()
+    return torch.stack([*(torch.from_numpy(rays[..., axis]).float() * mask for axis in (0, 1)), mask])
+
+
+@lru_cache(maxsize=1)
+def packaged_network() -> WallNetwork:
+    """The network with the weights that lie in the package, batch norms folded into the convolutions before them."""
+    network = WallNetwork()
+    data = resources.files("ursnav_torch.features").joinpath(WEIGHTS).read_bytes()
+    network.load_state_dict({name: value.float() for name, value in load_weights(data).items()})
+    return fold(network.eval().requires_grad_(False))
+
+
+def fold(network: WallNetwork) -> WallNetwork:
+    """The same function with each batch norm folded into the convolution before it, in place."""
+    for block in [m for m in network.modules() if isinstance(m, _Block)]:
+        block.convolution = nn.utils.fusion.fuse_conv_bn_eval(block.convolution, block.norm)  # type: ignore[type-var]
+        block.norm = nn.Identity()  # type: ignore[assignment]
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+class _Block(nn.Module):
+    """Convolution, batch norm, SiLU."""
+
+    def __init__(self, channels: int, out: int, size: int = 3, stride: int = 1) -> None:
+        super().__init__()
+        padding = 0 if size == stride else size // 2
+        self.convolution = nn.Conv2d(channels, out, size, stride, padding, bias=False)
+        self.norm = nn.BatchNorm2d(out)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The block's answer (N, out, h, w)."""
+        return functional.silu(self.norm(self.convolution(x)), inplace=True)
+
+
+def _beside(coarse: Tensor, fine: Tensor) -> Tensor:
+    """Coarse channels at the size of fine ones, before them."""
+    return torch.cat(
+        [functional.interpolate(coarse, size=fine.shape[-2:], mode="bilinear", align_corners=False), fine], 1
+    )
