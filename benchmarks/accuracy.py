@@ -72,13 +72,13 @@ def ours(
     search: SearchSettings | None = None,
     matching: Matching | None = None,
     refine: bool = False,
-    relief: str = "learned",
+    learned: float = DefaultSettings().learned,
 ) -> Method:
     """A choice of our own settings."""
 
     def prepare(vid: Vid) -> Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]:
         if isinstance(vid.settings, DefaultSettings):
-            vid = replace(vid, settings=replace(vid.settings, relief=relief))
+            vid = replace(vid, settings=replace(vid.settings, learned=learned))
         localizer = Localizer(vid, matching, LocalizationSettings(refine=refine), search)
 
         def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:
@@ -125,8 +125,9 @@ def parts_left_out() -> dict[str, Method]:
     return {
         "default, refined": ours(refine=True),
         "default": ours(),
-        "photometric relief, refined": ours(refine=True, relief="photometric"),
-        "photometric relief": ours(relief="photometric"),
+        "photometric relief alone, refined": ours(refine=True, learned=0.0),
+        "photometric relief alone": ours(learned=0.0),
+        "learned relief alone": ours(learned=1.0),
         "edges and shape alone": ours(replace(s, relief_weight=0.0)),
         "without edge-direction maps": ours(replace(s, direction_weight=0.0)),
         "without shape stage": ours(replace(s, shape_weight=0.0)),

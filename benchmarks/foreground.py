@@ -19,7 +19,7 @@ from benchmarks.shared.statistics import wilson
 from ursnav_torch.camera import Camera, load_camera
 from ursnav_torch.errors import UrsnavError
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
-from ursnav_torch.features.foreground import Body
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.files import write_image
 from ursnav_torch.geometry import apply, inverse
 from ursnav_torch.tables import read_csv
@@ -33,6 +33,8 @@ def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its table and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     report = Report("foreground", {"least": settings["least"]})
+    if settings["pictures"]:
+        Path(settings["pictures"]).mkdir(parents=True, exist_ok=True)
     try:
         folder = data_folder(settings["data"])
         for table in sorted(folder.glob("*/*/foreground.csv")):
@@ -93,13 +95,15 @@ def disk(row: dict[str, str], still: Still, camera: Camera) -> tuple[NDArray[np.
     return pixels[0], radius_px, float(np.pi * radius_px**2 / camera.pixel_rays()[1].sum())
 
 
-def meets(body: Body, stone: tuple[NDArray[np.float64], float, float]) -> bool:
+def meets(body: ForegroundBody, stone: tuple[NDArray[np.float64], float, float]) -> bool:
     """Whether what was found is this stone."""
     return float(np.linalg.norm(np.subtract(body.center_px, stone[0]))) <= max(stone[1], _NEAR_PX)
 
 
 def drawn(
-    image: NDArray[np.uint8], bodies: Sequence[Body], there: Sequence[tuple[NDArray[np.float64], float, float]]
+    image: NDArray[np.uint8],
+    bodies: Sequence[ForegroundBody],
+    there: Sequence[tuple[NDArray[np.float64], float, float]],
 ) -> NDArray[np.uint8]:
     """A picture with what was found and what is there."""
     shown = image.copy()

@@ -49,8 +49,8 @@ def main(arguments: Sequence[str]) -> int:
     write_weights(network, where)
     report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "weights", "out")})
     for name, value in validate(network, kept_back).items():
-        report.add("phantoms kept back, loss", name.replace("_", " "), "", [value], n=len(kept_back))
-    report.add("size", "weights", "", [sum(p.numel() for p in network.parameters())])
+        report.add("phantoms kept back, loss", name.replace("_", " "), "of 1", [value], n=len(kept_back))
+    report.add("size", "weights", "of them", [sum(p.numel() for p in network.parameters())])
     report.add("size", "file", "kB", [where.stat().st_size / 1e3])
     print(report.table())
     print(f"\nweights: {where}\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")

@@ -120,13 +120,13 @@ def _faults(rng: Rng) -> SensorFaults:
     preset = WIDE if wide else IN_VIVO_LIKE if u < 0.9 else THESIS_PHANTOM if u < 0.97 else THESIS_SIMULATION
     faults = draw_faults(preset, rng)
     if wide and rng.random() < 0.6:
-        faults = _good_sensor(faults, rng)
+        faults = good_sensor(faults, rng)
     if rng.random() < 0.08:
         faults = replace(faults, wall=replace(faults.wall, color_bgr=(faults.wall.color_bgr[1],) * 3))
     return faults
 
 
-def _good_sensor(faults: SensorFaults, rng: Rng) -> SensorFaults:
+def good_sensor(faults: SensorFaults, rng: Rng) -> SensorFaults:
     """The same scene through a clean lens and a quiet sensor: then what is hard is the scene."""
     share = rng.uniform(0, 0.35)
     fainter = ("defocus_px", "motion_px", "veil", "bloom", "halo", "vignetting")

@@ -8,6 +8,7 @@ import torch
 from ursnav_torch.camera import Camera, equidistant_camera, pinhole_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.default import blend
 from ursnav_torch.features.network import (
     CELL,
     FOREGROUND,
@@ -68,13 +69,13 @@ def test_gray_and_equal_color_pictures_read_alike() -> None:
     gray = np.random.default_rng(0).integers(30, 200, (250, 250), dtype=np.uint8)
     one, three = reader.read(gray), reader.read(np.repeat(gray[..., None], 3, 2))
     torch.testing.assert_close(one[0], three[0])
-    assert one[0].shape == one[1].shape == (125, 125)
+    assert one[0].shape == (125, 125) and one[1].shape == (2, 125, 125)
 
 
 def test_a_plain_view_reads_as_its_own_relief(vid: Vid, phantom: Kidney) -> None:
     """What the network is there for: the drawn view's relief, from a picture under another light and skin."""
     renderer = RaycastRenderer(phantom.mesh, vid.camera)
-    drawn = DefaultExtractor(DefaultSettings(), vid.camera)
+    drawn = DefaultExtractor(DefaultSettings(learned=1.0), vid.camera)
     alike = []
     for T in vid.T_kidney_camera[::7]:
         image = renderer.render(T).image
@@ -90,9 +91,12 @@ def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
     on, off = [], []
     for T in vid.T_kidney_camera[::5]:
         seen = simulate_labeled(renderer.render(T), vid.camera, T, SensorFaults(bodies=BodyFaults(stones=1)), rng)
-        stone = cv2.resize((seen.kind == STONE).astype(np.float32), (125, 125), interpolation=cv2.INTER_AREA)
-        valid = extractor.extract(seen.image).valid
-        if not 0.02 < stone.mean() < 0.4 or not valid.numel():
+        valid = extractor.extract(seen.image, edges=False).valid
+        if not valid.numel():
+            continue
+        size = (valid.shape[1], valid.shape[0])
+        stone = cv2.resize((seen.kind == STONE).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        if not 0.02 < stone.mean() < 0.4:
             continue
         on.append(float(valid[torch.from_numpy(stone > 0.9)].mean()))
         off.append(float(valid[torch.from_numpy(stone == 0) & (valid > 0)].mean()))
@@ -101,13 +105,23 @@ def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
 
 def test_drawn_views_and_photometric_relief_ask_no_network(vid: Vid, phantom: Kidney) -> None:
     image = RaycastRenderer(phantom.mesh, vid.camera).render(vid.T_kidney_camera[3]).image
-    learned, plain = (DefaultExtractor(DefaultSettings(relief=relief), vid.camera)
-                      for relief in ("learned", "photometric"))  # fmt: skip
+    learned, plain = (DefaultExtractor(DefaultSettings(learned=share), vid.camera) for share in (0.3, 0.0))
     torch.testing.assert_close(learned.extract(image, virtual=True).fields, plain.extract(image).fields)
     assert not plain.extract(image).valid.numel()
     assert not torch.equal(learned.extract(image).fields, plain.extract(image).fields)
 
 
-def test_an_unknown_relief_is_refused() -> None:
-    with pytest.raises(InputError, match=r"relief is 'deep'; accepted are 'learned', 'photometric'"):
-        DefaultSettings(relief="deep")
+def test_a_blend_has_the_contrast_of_the_first_and_its_shares() -> None:
+    mask = torch.ones(8, 8)
+    mask[:, :2] = 0
+    first, second = torch.randn(8, 8), 0.1 * torch.randn(8, 8)
+    torch.testing.assert_close(blend(first, second, mask, 0.0), first)
+    only = blend(first, second, mask, 1.0)
+    assert float((only * mask).norm()) == pytest.approx(float((first * mask).norm()), rel=1e-5)
+    torch.testing.assert_close(blend(first, second, mask, 0.3), 0.7 * first + 0.3 * only)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.2])
+def test_a_share_beyond_0_to_1_is_refused(share: float) -> None:
+    with pytest.raises(InputError, match=rf"learned={share} must lie in 0\.\.1"):
+        DefaultSettings(learned=share)

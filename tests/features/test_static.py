@@ -66,7 +66,7 @@ def test_pictures_of_another_size_are_left_out() -> None:
 
 
 def test_a_narrowed_extractor_says_what_is_valid_and_finds_no_edge_elsewhere() -> None:
-    whole = DefaultExtractor(DefaultSettings(relief="photometric"), LENS)
+    whole = DefaultExtractor(DefaultSettings(learned=0.0), LENS)
     image, scene = pictures(1)[0], np.ones((250, 250), bool)
     scene[:, :90] = False
     narrow = whole.through(scene).extract(image)

@@ -26,7 +26,7 @@ def search(vid: Vid) -> ViewSearch:
 
 
 def seen(vid: Vid, renderer: RaycastRenderer, T_kidney_camera: np.ndarray) -> Features:
-    return vid.extractor().extract(renderer.render(T_kidney_camera).image)
+    return vid.extractor().extract(renderer.render(T_kidney_camera).image, virtual=True)
 
 
 def turned(vid: Vid, view: int, *, roll_deg: float = 0.0, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.features.foreground import Body
+from ursnav_torch.features.foreground import ForegroundBody
 
 #: `Features.valid` of a picture in which nothing lies before the wall.
 NOTHING_BEFORE = torch.zeros(0, 0)
@@ -61,7 +61,7 @@ class Features:
     contrast: float = 0.0
     grain: float = 0.0
     valid: Tensor = NOTHING_BEFORE
-    bodies: tuple[Body, ...] = ()
+    bodies: tuple[ForegroundBody, ...] = ()
 
 
 class Extractor(Protocol):

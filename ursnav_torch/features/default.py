@@ -1,7 +1,7 @@
 """The default features: the wall's relief, its edges and polar maps, alike on virtual and real pictures.
 
-A drawn view's relief is what its light shows. A real picture's is read by the wall network, which knows skin, wet spots
-and stones from walls (`features.network`); ``relief=photometric`` takes it from the light, by hand-made operators.
+A drawn view's relief is what its light shows. A real picture's is that, blended with what the wall network reads in it,
+which knows skin, wet spots and stones from walls (`features.network`): the former is sharper, the latter surer.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +23,6 @@ from ursnav_torch.features.network import WallReader
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import check_method, sample
 
-#: Where a real picture's relief comes from.
-RELIEFS = ("learned", "photometric")
 #: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
 COARSE = 0.024
 
@@ -36,7 +34,8 @@ class DefaultSettings:
     Attributes:
         points: edge points kept a picture.
         sampling: how they are chosen, see `features.sampling`.
-        relief: where a real picture's relief comes from, see `RELIEFS`; a drawn view's is photometric.
+        learned: share of the wall network in a real picture's relief; the rest is photometric, as a drawn view's is.
+            0 asks no network. Chosen by ``python -m benchmarks.wall_network.share``.
         working_px: shorter side of the reduced picture on which everything is computed.
         relief_reach: reach of the surroundings that are subtracted from the log picture.
         relief_blur, edge_blurs: smoothing of the relief map, and of the gradient maps (one pair of channels each).
@@ -48,7 +47,7 @@ class DefaultSettings:
 
     points: int = 100
     sampling: str = "farthest"
-    relief: str = "learned"
+    learned: float = 0.3
     working_px: int = 125
     relief_reach: float = 0.048
     relief_blur: float = 0.008
@@ -61,8 +60,8 @@ class DefaultSettings:
 
     def __post_init__(self) -> None:
         check_method(self.sampling)
-        if self.relief not in RELIEFS:
-            raise InputError(f"relief is {self.relief!r}; accepted are {', '.join(map(repr, RELIEFS))}.")
+        if not 0 <= self.learned <= 1:
+            raise InputError(f"learned={self.learned} must lie in 0..1: the wall network's share in the relief.")
         object.__setattr__(self, "edge_blurs", tuple(float(b) for b in self.edge_blurs))
         if not 4 <= self.min_points <= self.points or self.working_px < 32 or not 0 <= self.low <= self.high <= 100:
             raise InputError(
@@ -88,7 +87,7 @@ class DefaultExtractor:
         self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
         self._polar = polar_grid(self.working_camera)
         self._partial = False  # whether pictures show less than the views, which are drawn through the whole lens
-        self._network = WallReader(self.working_camera, self._small_mask) if settings.relief == "learned" else None
+        self._network = WallReader(self.working_camera, self._small_mask) if settings.learned else None
 
     def extract(self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True) -> Features:
         """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few."""
@@ -99,11 +98,10 @@ class DefaultExtractor:
         coarse = masked_blur(log_image, self._small_mask, COARSE * self._unit)
         contrast = local_contrast(coarse, self._small_mask, self._around)
         grain = local_contrast(log_image, self._small_mask, self._around) - contrast
-        bodies, valid = (), self._small_mask
-        if virtual or self._network is None:
-            relief = flatten(log_image, self._small_mask, self._around)
-        else:
-            relief, before = self._network.read(image)
+        relief, bodies, valid = flatten(log_image, self._small_mask, self._around), (), self._small_mask
+        if not virtual and self._network is not None:
+            read, before = self._network.read(image)
+            relief = blend(relief, read, self._small_mask, self.settings.learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
         fields = self._fields(relief)
@@ -171,6 +169,15 @@ class DefaultExtractor:
             return np.zeros(tuple(ridge.shape), bool)
         low, high = torch.quantile(on, torch.tensor([self.settings.low, self.settings.high]) / 100).tolist()
         return link(ridge, low, high, max(2, round(self.settings.min_length * self._unit)))
+
+
+def blend(photometric: Tensor, learned: Tensor, mask: Tensor, share: float) -> Tensor:
+    """Two reliefs (h, w) mixed at the contrast of the first within a mask (h, w); ``share`` is the second's.
+
+    The network's is fainter where it is unsure, everywhere by the same factor for this purpose.
+    """
+    contrast, read = ((x * mask).square().sum().sqrt().clamp_min(1e-6) for x in (photometric, learned))
+    return (1 - share) * photometric + share * contrast / read * learned
 
 
 def refuse_blank(gray: Tensor, mask: Tensor) -> None:

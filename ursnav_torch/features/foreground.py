@@ -16,7 +16,7 @@ _SMALLEST = 0.003
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class ForegroundBody:
     """A region before the wall.
 
     Attributes:
@@ -36,7 +36,7 @@ class Body:
     mask: NDArray[np.bool_]
 
 
-def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[Body, ...]:
+def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[ForegroundBody, ...]:
     """Bodies in a picture, the largest first.
 
     Args:
@@ -56,5 +56,5 @@ def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[Body, 
             if sure >= _SURE and region.area >= _SMALLEST * area:
                 y, x = ((c + 0.5) * scale - 0.5 for c in region.centroid)
                 size = float(np.sqrt(4 * region.area / np.pi)) * scale
-                found.append(Body(kind, sure, (float(x), float(y)), size, float(region.area / area), inside))
+                found.append(ForegroundBody(kind, sure, (float(x), float(y)), size, float(region.area / area), inside))
     return tuple(sorted(found, key=lambda body: -body.share))
