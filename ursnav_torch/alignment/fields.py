@@ -77,7 +77,8 @@ class AlignGrid:
         relief = self._small(features.fields[0])
         value = self._fields((relief * self.mask)[..., None])[..., 0]
         weight = self._counted * self._small(features.valid) if features.valid.numel() else self._counted
-        return Fields(*(np.ascontiguousarray(x.transpose(2, 0, 1)) for x in (value, *_slopes(value))), weight)
+        planes, x, y = (np.ascontiguousarray(field.transpose(2, 0, 1)) for field in (value, *_slopes(value)))
+        return Fields(planes, x, y, weight)
 
     def _small(self, image: Tensor) -> Floats:
         """A picture (h, w) at the extractor's working size at this one (H, W)."""

@@ -17,7 +17,7 @@ from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
-from ursnav_torch.features.foreground import find_bodies
+from ursnav_torch.features.foreground import ForegroundBody, find_bodies
 from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.network import WallReader
 from ursnav_torch.features.polar import polar_grid, polar_maps
@@ -98,7 +98,8 @@ class DefaultExtractor:
         coarse = masked_blur(log_image, self._small_mask, COARSE * self._unit)
         contrast = local_contrast(coarse, self._small_mask, self._around)
         grain = local_contrast(log_image, self._small_mask, self._around) - contrast
-        relief, bodies, valid = flatten(log_image, self._small_mask, self._around), (), self._small_mask
+        relief, valid = flatten(log_image, self._small_mask, self._around), self._small_mask
+        bodies: tuple[ForegroundBody, ...] = ()
         if not virtual and self._network is not None:
             read, before = self._network.read(image)
             relief = blend(relief, read, self._small_mask, self.settings.learned)

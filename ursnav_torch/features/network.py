@@ -140,9 +140,9 @@ def packaged_network() -> WallNetwork:
 def fold(network: WallNetwork) -> WallNetwork:
     """The same function with each batch norm folded into the convolution before it, in place."""
     for block in [m for m in network.modules() if isinstance(m, _Block)]:
-        block.convolution = nn.utils.fusion.fuse_conv_bn_eval(block.convolution, block.norm)  # type: ignore[type-var]
+        block.convolution = nn.utils.fusion.fuse_conv_bn_eval(block.convolution, block.norm)
         block.norm = nn.Identity()  # type: ignore[assignment]
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 class _Block(nn.Module):
