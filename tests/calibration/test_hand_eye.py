@@ -12,9 +12,11 @@ import pytest
 from benchmarks.hand_eye import simulated_drive, supplied
 from ursnav_torch.calibration.hand_eye import calibrate_tip
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
+from ursnav_torch.devices import Stamp, TrackerSample
 from ursnav_torch.errors import RegistrationError
 from ursnav_torch.geometry import quaternion_from_transform
 from ursnav_torch.runs.calibrate_tip import read_tip
+from ursnav_torch.session import Recorder, Result
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -74,3 +76,33 @@ def test_the_runner_writes_what_track_takes(run: Callable[..., Any], tmp_path: P
     np.testing.assert_allclose(place, offset, atol=0.5)
     assert abs(late - ahead) < 0.01
     assert run("calibrate_tip", *files).code == 1  # it is there already
+
+
+def test_a_recorded_session_tells_the_same(run: Callable[..., Any], tmp_path: Path) -> None:
+    T, t_s, samples, offset, _, ahead = simulated_drive(1)
+    values = np.concatenate([T[:, :3, 3], quaternion_from_transform(T)], axis=1)
+    assert samples.t_s is not None
+    with Recorder(tmp_path / "drive") as recorder:
+        for i, row in enumerate(values.tolist()):
+            pose = dict(zip(POSE_COLUMNS, row, strict=True))
+            stamp = Stamp(i, float(t_s[i]) + 0.2, 1e9)  # told later than the picture was taken
+            recorder.write(Result(stamp, i, {"t_s": float(t_s[i]), "accepted": i % 7 > 0} | pose))
+        for i, (t, p, a) in enumerate(zip(samples.t_s, samples.position_mm, samples.axis, strict=True)):
+            seen = i % 9 > 0
+            at, along = (tuple(v.tolist()) if seen else None for v in (p, a))
+            recorder.write(TrackerSample(Stamp(i, float(t), 1e9), seen, at, along))
+    done = run("calibrate_tip", f"record={tmp_path / 'drive'}", f"out={tmp_path / 'tip.json'}")
+    assert done.code == 0, done.err
+    place, late = read_tip(tmp_path / "tip.json")
+    np.testing.assert_allclose(place, offset, atol=0.5)
+    assert abs(late - ahead) < 0.015
+
+
+def test_what_a_session_lacks_is_said(run: Callable[..., Any], tmp_path: Path) -> None:
+    with Recorder(tmp_path / "empty") as recorder:
+        recorder.write(Result(Stamp(0, 0.0, 0.0), 0, {"accepted": False}))
+    done = run("calibrate_tip", f"record={tmp_path / 'empty'}", "out=tip.json")
+    assert done.code == 1 and "holds no localized pictures: record with `navigate`" in done.err
+    both = run("calibrate_tip", f"record={tmp_path / 'empty'}", "em=em.csv", "out=tip.json")
+    assert both.code == 1 and "takes track=FILE.csv and em=FILE, or record=FOLDER" in both.err
+    assert run("calibrate_tip", f"record={tmp_path / 'nowhere'}", "out=tip.json").code == 1

@@ -2,8 +2,11 @@
 
 Robot-world and hand-eye at once (Shah, J. Mech. Robot. 5:031007, 2013, for poses): ``T_kidney_em p_em(t + offset) =
 T_kidney_camera(t) o``, with the sensor's place ``o``, its axis or orientation in the camera frame, the registration and
-the offset unknown together, by robust least squares. The uncertainty is the sandwich estimate over blocks of pictures,
-since the errors of a track go on from picture to picture.
+the offset unknown together, by robust least squares. The errors of a track go on from picture to picture, so that the
+uncertainty is the cluster-robust (sandwich) estimate over blocks of pictures, in its jackknife form CR3: each block is
+judged by what the others predict of it (Bell and McCaffrey, Survey Methodology 28:169, 2002); without that, few blocks
+are too sure of themselves. Weighing by the errors' correlation (generalized least squares) was tried and is worse: it
+looks at changes from picture to picture, of which a track's are mostly error, and so draws the sensor to the camera.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -28,11 +31,11 @@ _BLOCK_S = 4.0
 _SEARCH_S, _STEP_S = 3.0, 0.05
 #: A calibration that is less certain is refused: standard deviations, mm, degrees and s.
 LARGEST_SD_MM, LARGEST_SD_DEG, LARGEST_SD_S = 1.0, 3.0, 0.05
-#: A pose's speed is that of its neighbors, weighed by a bell of so many pictures.
-_SPEED_OVER = 2.0
-#: Poses farther apart in time do not say where the camera was between them, s.
+#: The log is smoothed over a bell of this standard deviation, s, with at most so many neighbors on either side.
+_SMOOTH_S, _MOST_NEIGHBORS = 0.1, 40
+#: Readings farther apart in time say nothing of what was between them, s.
 _LARGEST_GAP_S = 0.5
-#: More readings than this say nothing new; a sensor farther from the camera than this is none on the tip, mm.
+#: More pictures than this say nothing new; a sensor farther from the camera than this is none on the tip, mm.
 _MOST, _FARTHEST_MM = 4000, 50.0
 #: Fewer pictures with a reading do not make a calibration.
 FEWEST = 40
@@ -48,7 +51,7 @@ class TipCalibration:
         R_camera_sensor: (3, 3) of a sensor with six degrees of freedom, or None.
         em_offset_s: the log's clock when the pictures' shows zero, and its standard deviation.
         T_kidney_em: (4, 4) the registration that goes with it.
-        n: readings used. rms_mm: of the positions' residuals.
+        n: pictures with a reading. rms_mm: of the positions' residuals.
     """
 
     offset_mm: Array
@@ -65,48 +68,47 @@ class TipCalibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Poses with times, and the visible readings in order of time.
+    """Poses as they are, and the log as a curve that readings at the poses' times are taken from.
 
-    Readings are taken as they are, and places from the nearest pose on with its speed: between two, by a straight line,
-    there is less noise than in either, which draws the clocks' offset to where most readings lie between.
+    The log and not the track is interpolated: a track's errors go on from picture to picture, and between two of them
+    there is less noise than in either, or more where speeds are estimated; either draws the clocks' offset to where
+    most readings would then lie. The log, of more readings with errors of their own, makes a smooth curve.
+
+    Attributes:
+        t_s, place, R_camera: (N,), (N, 3), (N, 3, 3) the poses.
+        clock, position, axis: (M,), (M, 3), (M, 3) the smoothed readings; the axis NaN where the log has none.
+        quaternion: (M, 4) of a sensor with six degrees of freedom, as it was read.
     """
 
     t_s: Array
     place: Array
-    speed: Array
-    turn: Array
+    R_camera: Array
     clock: Array
     position: Array
     axis: Array
     quaternion: Array | None
-    near: NDArray[np.int64] | None = None
+    curve: CubicSpline
 
-    def anchored(self, offset_s: float) -> "_Problem":
-        """The same, with every reading's nearest pose held, so that what follows is smooth in the offset."""
-        t = self.clock - offset_s
-        j = np.clip(np.searchsorted(self.t_s, t), 1, len(self.t_s) - 1)
-        return replace(self, near=np.where(t - self.t_s[j - 1] < self.t_s[j] - t, j - 1, j))
+    @property
+    def has_axis(self) -> bool:
+        """Whether the log has directions."""
+        return bool(np.isfinite(self.axis).all())
 
     def inside(self, offset_s: float) -> NDArray[np.bool_]:
-        """(M,) readings taken between two poses that follow each other."""
-        t = self.clock - offset_s
-        j = np.clip(np.searchsorted(self.t_s, t), 1, len(self.t_s) - 1)
-        gap = self.t_s[j] - self.t_s[j - 1]
-        return np.asarray((t >= self.t_s[0]) & (t <= self.t_s[-1]) & (gap < _LARGEST_GAP_S))
+        """(N,) poses taken between two readings that follow each other."""
+        t = self.t_s + offset_s
+        j = np.clip(np.searchsorted(self.clock, t), 1, len(self.clock) - 1)
+        gap = self.clock[j] - self.clock[j - 1]
+        return np.asarray((t >= self.clock[0]) & (t <= self.clock[-1]) & (gap < _LARGEST_GAP_S))
 
-    def camera(self, offset_s: float) -> tuple[Array, Array]:
-        """Rotation (M, 3, 3) and place (M, 3) of the camera at every reading."""
-        t = self.clock - offset_s
-        j = np.clip(np.searchsorted(self.t_s, t), 1, len(self.t_s) - 1)
-        w = ((t - self.t_s[j - 1]) / np.maximum(self.t_s[j] - self.t_s[j - 1], 1e-9))[:, None]
-        q = self.turn[j - 1] * (1 - w) + self.turn[j] * w
-        i = np.where(w[:, 0] < 0.5, j - 1, j) if self.near is None else self.near
-        return Rotation.from_quat(q).as_matrix(), self.place[i] + self.speed[i] * (t - self.t_s[i])[:, None]
+    def readings(self, offset_s: float) -> tuple[Array, Array]:
+        """Position (N, 3) and axis (N, 3) of the sensor at every pose; no axis is 0."""
+        found = np.asarray(self.curve(self.t_s + offset_s))
+        return found[:, :3], found[:, 3:]
 
     def only(self, rows: NDArray[np.bool_]) -> "_Problem":
-        """The same poses with some of the readings."""
-        q = None if self.quaternion is None else self.quaternion[rows]
-        return replace(self, clock=self.clock[rows], position=self.position[rows], axis=self.axis[rows], quaternion=q)
+        """The same log with some of the poses."""
+        return replace(self, t_s=self.t_s[rows], place=self.place[rows], R_camera=self.R_camera[rows])
 
 
 #: Directions of so much less information than the best (in columns of one length) are none, and a parameter that has
@@ -130,10 +132,7 @@ def calibrate_tip(T_kidney_camera: Array, t_s: Array, samples: EmSamples) -> Tip
     offset_s, used = _coarse_offset(problem)
     problem = problem.only(used)
     x = _start(problem, offset_s)
-    for _ in range(2):
-        problem = problem.anchored(float(x[12]))
-        fit = least_squares(_residuals, x, args=(problem,), loss="soft_l1", x_scale="jac", max_nfev=200)
-        x = fit.x
+    fit = least_squares(_residuals, x, args=(problem,), loss="soft_l1", x_scale="jac", max_nfev=200)
     raw = _residuals(fit.x, problem).reshape(-1, 6)
     rms_mm = float(np.sqrt(np.mean(np.sum((raw[:, :3] * _POSITION_MM) ** 2, axis=1))))
     found = _result(fit.x, _deviations(fit, problem), problem, rms_mm)
@@ -151,32 +150,51 @@ def _problem(T: Array, t_s: Array, samples: EmSamples) -> _Problem:
             f"{len(posed)} pictures with a pose and {len(seen)} visible EM readings; at least {FEWEST} of each "
             "are needed, better some hundreds, with the scope turning and bending."
         )
-    posed = posed[np.argsort(t_s[posed], kind="stable")]
-    visible = samples.rows(seen[np.argsort(samples.t_s[seen], kind="stable")][:: max(len(seen) // _MOST, 1)])
-    turn = Rotation.from_matrix(T[posed, :3, :3]).as_quat()
-    signs = np.cumprod(np.where(np.sum(turn[1:] * turn[:-1], axis=1) < 0, -1, 1))
-    turn[1:] *= signs[:, None]  # neighbors on one side, so that between them is between them
+    posed = posed[np.argsort(t_s[posed], kind="stable")][:: max(len(posed) // _MOST, 1)]
+    seen = seen[np.unique(samples.t_s[seen], return_index=True)[1]]  # in order, each moment once
+    visible = samples.rows(seen)
     clock = np.asarray(visible.t_s, float)
-    smooth = gaussian_filter1d(T[posed, :3, 3], _SPEED_OVER, axis=0, mode="nearest")
-    speed = np.gradient(smooth, t_s[posed], axis=0)
+    has_axis = bool(np.isfinite(visible.axis).all())
+    smooth = _smoothed(clock, np.hstack([visible.position_mm, visible.axis if has_axis else 0 * visible.position_mm]))
+    axis = smooth[:, 3:] / np.linalg.norm(smooth[:, 3:], axis=1, keepdims=True) if has_axis else smooth[:, 3:]
+    curve = CubicSpline(clock, np.hstack([smooth[:, :3], axis]))
     return _Problem(
-        t_s[posed], T[posed, :3, 3], speed, turn, clock, visible.position_mm, visible.axis, visible.quaternion
-    )
+        t_s[posed], T[posed, :3, 3], T[posed, :3, :3], clock, smooth[:, :3],
+        axis if has_axis else np.full_like(axis, np.nan), visible.quaternion, curve,
+    )  # fmt: skip
+
+
+def _smoothed(clock: Array, values: Array) -> Array:
+    """Values (M, C) by local quadratic regression over a bell of ``_SMOOTH_S`` of their neighbors in time (M,).
+
+    A quadratic bends with the motion, where a mere mean would cut its corners.
+    """
+    step = float(np.median(np.diff(clock)))
+    reach = int(np.clip(3 * _SMOOTH_S / max(step, 1e-6), 2, _MOST_NEIGHBORS))
+    at = np.arange(len(clock))[:, None] + np.arange(-reach, reach + 1)
+    there = (at >= 0) & (at < len(clock))
+    at = np.clip(at, 0, len(clock) - 1)
+    since = (clock[at] - clock[:, None]) / _SMOOTH_S
+    weight = np.where(there, np.exp(-0.5 * since**2), 0.0)
+    powers = np.stack([np.ones_like(since), since, since**2], axis=-1)
+    normal = np.einsum("mk,mki,mkj->mij", weight, powers, powers) + 1e-9 * np.eye(3)
+    right = np.einsum("mk,mki,mkc->mic", weight, powers, values[at])
+    return np.asarray(np.linalg.solve(normal, right)[:, 0])
 
 
 def _coarse_offset(problem: _Problem) -> tuple[float, NDArray[np.bool_]]:
     """The offset at which a rigid motion takes the sensor's path best to the camera's, and the readings that count."""
     begin = float(problem.clock[0] - problem.t_s[0])
     middle = begin if abs(begin) > 60 else 0.0
-    best, kept = (np.inf, 0.0), np.zeros(len(problem.clock), bool)
+    best, kept = (np.inf, 0.0), np.zeros(len(problem.t_s), bool)
     for offset in middle + np.arange(-_SEARCH_S, _SEARCH_S + 1e-9, _STEP_S):
         ok = problem.inside(float(offset))
         if ok.sum() < FEWEST:
             continue
         part = problem.only(ok)
-        R_camera, place = part.camera(float(offset))
-        o, R, t = _alternate(part.position, R_camera, place, 3)
-        off = np.linalg.norm(part.position @ R.T + t - (R_camera @ o + place), axis=1)
+        position, _ = part.readings(float(offset))
+        o, R, t = _alternate(position, part.R_camera, part.place, 3)
+        off = np.linalg.norm(position @ R.T + t - (part.R_camera @ o + part.place), axis=1)
         if (miss := float(np.median(off))) < best[0]:
             best, kept = (miss, float(offset)), ok
     if not np.isfinite(best[0]):
@@ -206,43 +224,47 @@ def _alternate(p: Array, R_camera: Array, place: Array, rounds: int) -> tuple[Ar
 
 def _start(problem: _Problem, offset_s: float) -> Array:
     """(13,) turn and place of the registration about the path's middle, the sensor's place, its axis, the offset."""
-    p, (R_camera, place) = problem.position, problem.camera(offset_s)
-    o, R, t = _alternate(p, R_camera, place, 10)
-    axis = np.zeros(3)
-    if (known := np.isfinite(problem.axis).all(axis=1)).any():
-        axis = np.median(np.einsum("nji,nj->ni", R_camera[known], problem.axis[known] @ R.T), axis=0)
+    p, along = problem.readings(offset_s)
+    o, R, t = _alternate(p, problem.R_camera, problem.place, 10)
+    axis = np.median(np.einsum("nji,nj->ni", problem.R_camera, along @ R.T), axis=0)
     axis = axis if np.linalg.norm(axis) > 1e-6 else np.array([0.0, 0.0, 1.0])
-    middle = R @ p.mean(0) + t - problem.place.mean(0)
-    return np.concatenate([Rotation.from_matrix(R).as_rotvec(), middle, o, axis, [offset_s]])
+    center = problem.position.mean(0)
+    return np.concatenate([Rotation.from_matrix(R).as_rotvec(), R @ center + t - problem.place.mean(0), o, axis,
+                           [offset_s]])  # fmt: skip
 
 
 def _residuals(x: Array, problem: _Problem) -> Array:
-    """(6 M,) of each reading: position and axis, in standard deviations; 0 where the log has no axis."""
-    R_camera, place = problem.camera(float(x[12]))
+    """(6 N,) of each pose: position and axis, in standard deviations; 0 where the log has no axis."""
+    position, along = problem.readings(float(x[12]))
     R = Rotation.from_rotvec(x[:3]).as_matrix()
-    seen = (problem.position - problem.position.mean(0)) @ R.T + x[3:6] + problem.place.mean(0)
-    away = (seen - (R_camera @ x[6:9] + place)) / _POSITION_MM
+    seen = (position - problem.position.mean(0)) @ R.T + x[3:6] + problem.place.mean(0)
+    away = (seen - (problem.R_camera @ x[6:9] + problem.place)) / _POSITION_MM
     axis = x[9:12] / max(float(np.linalg.norm(x[9:12])), 1e-9)
-    turned = (problem.axis @ R.T - R_camera @ axis) / _DIRECTION
-    return np.asarray(np.concatenate([away, np.nan_to_num(turned)], axis=1)).ravel()
+    turned = (along @ R.T - problem.R_camera @ axis) / _DIRECTION
+    return np.asarray(np.concatenate([away, turned if problem.has_axis else 0 * turned], axis=1)).ravel()
 
 
 def _deviations(fit: Any, problem: _Problem) -> Array:
-    """(13,) standard deviations: sandwich over blocks of readings, and no less than the classical ones."""
+    """(13,) standard deviations: CR3 over blocks of pictures, and no less than the classical ones."""
     J, r = fit.jac, fit.fun
-    block = ((problem.clock - problem.clock[0]) // _BLOCK_S).astype(int)
+    times = problem.t_s
+    block = np.repeat(((times - times[0]) // _BLOCK_S).astype(int), 6)
     inverse = np.linalg.pinv(J.T @ J, rcond=1e-12)
-    scores = np.zeros((block.max() + 1, J.shape[1]))
-    np.add.at(scores, np.repeat(block, 6), J * r[:, None])
-    count = len(np.unique(block))
-    sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(count - J.shape[1] / 3, 1.0)
+    meat = np.zeros_like(inverse)
+    blocks = np.unique(block)
+    for number in blocks:
+        own = J[block == number]
+        score = own.T @ r[block == number]
+        without = np.linalg.lstsq(np.eye(len(inverse)) - own.T @ own @ inverse, score, rcond=1e-9)[0]
+        meat += np.outer(without, without)
+    sandwich = inverse @ meat @ inverse * (len(blocks) - 1) / len(blocks)
     classical = inverse * float(np.mean(r**2))
     sd = np.sqrt(np.maximum(np.maximum(np.diag(sandwich), np.diag(classical)), 0))
     return np.where(_undetermined(J), np.inf, sd)
 
 
 def _undetermined(J: Array) -> NDArray[np.bool_]:
-    """Which parameters (13,) the readings leave free: those in the null space of J (6 M, 13), by columns of one length.
+    """Which parameters (13,) the readings leave free: those in the null space of J (6 N, 13), by columns of one length.
 
     The axis's own length is free by design; the pseudo-inverse would give what is free no spread at all.
     """
@@ -257,13 +279,13 @@ def _result(x: Array, sd: Array, problem: _Problem, rms_mm: float) -> TipCalibra
     R, axis = Rotation.from_rotvec(x[:3]).as_matrix(), x[9:12] / np.linalg.norm(x[9:12])
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, x[3:6] + problem.place.mean(0) - R @ problem.position.mean(0)
-    known = bool(np.isfinite(problem.axis).all(axis=1).any())
+    known = problem.has_axis
     across = sd[9:12] / np.linalg.norm(x[9:12])
     return TipCalibration(
         offset_mm=x[6:9], offset_sd_mm=sd[6:9], axis=axis if known else np.full(3, np.nan),
         axis_sd_deg=float(np.degrees(np.sqrt(np.sum(across**2) * 2 / 3))) if known else float("nan"),
         R_camera_sensor=_orientation(R, problem, float(x[12])), em_offset_s=float(x[12]), em_offset_sd_s=float(sd[12]),
-        T_kidney_em=T, n=len(problem.clock), rms_mm=rms_mm,
+        T_kidney_em=T, n=len(problem.t_s), rms_mm=rms_mm,
     )  # fmt: skip
 
 
@@ -271,9 +293,12 @@ def _orientation(R_kidney_em: Array, problem: _Problem, offset_s: float) -> Arra
     """The mean orientation of a sensor with six degrees of freedom in the camera frame."""
     if problem.quaternion is None:
         return None
-    ok = np.isfinite(problem.quaternion).all(axis=1)
-    R_camera, _ = problem.camera(offset_s)
-    R = np.swapaxes(R_camera[ok], 1, 2) @ R_kidney_em @ Rotation.from_quat(problem.quaternion[ok]).as_matrix()
+    t = problem.t_s + offset_s
+    j = np.clip(np.searchsorted(problem.clock, t), 1, len(problem.clock) - 1)
+    nearest = np.where(t - problem.clock[j - 1] < problem.clock[j] - t, j - 1, j)
+    ok = np.isfinite(problem.quaternion[nearest]).all(axis=1)
+    R_em_sensor = Rotation.from_quat(problem.quaternion[nearest[ok]]).as_matrix()
+    R = np.swapaxes(problem.R_camera[ok], 1, 2) @ R_kidney_em @ R_em_sensor
     return np.asarray(Rotation.from_matrix(R).mean().as_matrix())
 
 

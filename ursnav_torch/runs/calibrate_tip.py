@@ -1,4 +1,4 @@
-"""What the `calibrate_tip` runner does: a localized video and its EM log in, the sensor on the camera out."""
+"""What the `calibrate_tip` runner does: a localized video and its EM log, or a session, in; the sensor's place out."""
 
 from pathlib import Path
 from typing import Any
@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 
 from ursnav_torch.calibration.hand_eye import TipCalibration, calibrate_tip
-from ursnav_torch.em_log import EmFormat, read_em_samples
+from ursnav_torch.columns import POSE_COLUMNS
+from ursnav_torch.devices import TrackerSample
+from ursnav_torch.em_log import EmFormat, EmSamples, read_em_samples
 from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import Array, transform_from_quaternion
 from ursnav_torch.records import read_json
 from ursnav_torch.runs.track_files import read_track
+from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
 
 
@@ -23,6 +27,39 @@ def tip_of_track(track: Path, em: Path, form: EmFormat | None = None) -> TipCali
     T = rows.T_kidney_camera.copy()
     T[[state != TRACKING for state in rows.state]] = np.nan
     return calibrate_tip(T, rows.t_s, read_em_samples(em, form))
+
+
+def tip_of_session(record: Path) -> TipCalibration:
+    """The calibration from a session that `navigate` recorded: its accepted poses and its tracker's samples.
+
+    The offset is that between the two devices as this machine heard them.
+
+    Raises:
+        InputError, RegistrationError: there is no record, it has no poses or no samples, or see `calibrate_tip`.
+    """
+    replay = Replay(record)
+    rows = [r.row for r in replay.results() if r.row.get("accepted") and r.row.get("x_mm") is not None]
+    readings = replay.readings()
+    for found, what in ((rows, "localized pictures: record with `navigate`"), (readings, "samples of an EM tracker")):
+        if not found:
+            raise InputError(f"The session {record} holds no {what}.")
+    values = np.array([[float(row[name]) for name in POSE_COLUMNS] for row in rows])
+    T = transform_from_quaternion(values[:, :3], values[:, 3:])
+    return calibrate_tip(T, np.array([float(row["t_s"]) for row in rows]), _samples(readings, str(record)))
+
+
+def _samples(readings: list[TrackerSample], source: str) -> EmSamples:
+    """Recorded samples as a log; NaN where nothing was seen."""
+
+    def table(name: str, width: int) -> Array:
+        values = [getattr(reading, name) for reading in readings]
+        return np.array([[np.nan] * width if value is None else value for value in values], float)
+
+    turned = table("quaternion_xyzw", 4)
+    return EmSamples(
+        table("position_mm", 3), table("axis", 3), np.array([reading.stamp.t_mono_s for reading in readings]),
+        quaternion=turned if np.isfinite(turned).any() else None, source=source,
+    )  # fmt: skip
 
 
 def tip_report(found: TipCalibration, offset_s: float = 0.0) -> dict[str, Any]:
@@ -46,7 +83,7 @@ def tip_summary(found: TipCalibration, offset_s: float = 0.0) -> str:
     """A few lines for people."""
     place = ", ".join(f"{v:.2f} ± {s:.2f}" for v, s in zip(found.offset_mm, found.offset_sd_mm, strict=True))
     lines = [
-        f"{found.n} EM readings used; residual {found.rms_mm:.2f} mm (RMS)",
+        f"{found.n} pictures with an EM reading used; residual {found.rms_mm:.2f} mm (RMS)",
         f"sensor in the camera frame: {place} mm",
         f"EM clock ahead of the pictures' by {found.em_offset_s + offset_s:.3f} ± {found.em_offset_sd_s:.3f} s",
     ]

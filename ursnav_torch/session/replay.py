@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ursnav_torch.devices import Frame
+from ursnav_torch.devices import Frame, TrackerSample
 from ursnav_torch.devices.cameras import decode_image
 from ursnav_torch.errors import InputError
 from ursnav_torch.inputs import read_regular
@@ -76,8 +76,15 @@ class Replay:
 
     def results(self) -> list[Result]:
         """The results as they were recorded."""
-        events = (self._event(data, None) for data in self._lines() if data["kind"] == "result")
-        return [event for event in events if isinstance(event, Result)]
+        return [event for event in self._of_kind("result") if isinstance(event, Result)]
+
+    def readings(self) -> list[TrackerSample]:
+        """The EM tracker's samples as they were recorded, those where it saw nothing as well."""
+        return [event for event in self._of_kind("tracker") if isinstance(event, TrackerSample)]
+
+    def _of_kind(self, kind: str) -> Iterator[Event | None]:
+        """The events of one kind; no picture is read."""
+        return (self._event(data, None) for data in self._lines() if data["kind"] == kind)
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         with (self.path / EVENTS).open("rb") as file:
