@@ -234,9 +234,15 @@ def judge_confidence(report: Report, answers: dict[str, list[Answer]]) -> None:
         report.add("accepted pictures", f"right of the accepted, {style}", "%", [share], note, len(accepted))
     every = [a for own in answers.values() for a in own]
     confidence, right_ = np.array([a.confidence for a in every]), np.array([a.right for a in every])
-    error = calibration_error(confidence, right_)
+    if not np.isfinite(confidence).all():  # half an hour's other rows must not be lost with it
+        report.skip("confidence", "a VID does not know it with these settings; take other VIDs or build them anew")
+        return
+    error, area = calibration_error(confidence, right_), auroc(confidence, right_)
     report.add("confidence", "expected calibration error", "of 1", [error], n=len(every))
-    report.add("confidence", "AUROC against right", "of 1", [auroc(confidence, right_)], n=len(every))
+    if np.isfinite(area):
+        report.add("confidence", "AUROC against right", "of 1", [area], n=len(every))
+    else:
+        report.skip("AUROC against right", "all answers are right, or all are wrong")
 
 
 def refuse(report: Report, vids: dict[str, Vid], folder: Path) -> None:
