@@ -15,7 +15,7 @@ def main(config: Any) -> None:
 
     out = caller_path(config.out)
     check_output_file(out, config.overwrite)
-    form = EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s)
+    form = EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, tool=config.em_tool)
     if config.record is not None and (config.track, config.em) == (None, None):
         found = tip_of_session(caller_path(config.record))
     elif config.record is None and None not in (config.track, config.em):

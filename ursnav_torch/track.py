@@ -54,7 +54,7 @@ def _em_readings(config: Any, bounds_mm: Any) -> tuple[Any, str]:
         None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
         offset_mm,
         *picture_times(caller_path(config.source), config.fps),
-        EmFormat(config.em_unit, config.em_time_unit, offset_s, config.em_join),
+        EmFormat(config.em_unit, config.em_time_unit, offset_s, config.em_join, config.em_tool),
         bounds_mm,
     )
     return sensor, readings + "\n"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ursnav_torch.columns import EM_COLUMNS
 from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
 from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, all_zero, flagged_seen, in_field
+from ursnav_torch.em_log.sequence import SEQUENCE_SUFFIXES, read_sequence
 from ursnav_torch.errors import InputError
 from ursnav_torch.tables import Row, number, read_csv
 
@@ -24,11 +25,14 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
     Read besides: ``x_cm`` and ``x_m``, ``t_ms``, ``t_us``, ``t_ns``; ``Tx,Ty,Tz`` (NDI, mm); ``qx,qy,qz,qw`` (or NDI's
     ``Q0,Qx,Qy,Qz``), whose z axis is the sensor's; columns such as ``state`` or ``visible``. Blank cells, NaN, numbers
     beyond any field (-3.697314E28), zeros in position and axis and flags that say so are a sensor that was not visible.
+    Sequences that Plus recorded (.mha, .mhd) are read, too, see `read_sequence`.
 
     Raises:
         InputError: it cannot be read, has no position or row, says nothing of its unit, or says what cannot be.
     """
     form = form or EmFormat()
+    if Path(path).suffix.lower() in SEQUENCE_SUFFIXES:
+        return read_sequence(Path(path), form)
     rows = read_csv(path, (), "EM")
     names = {name.lower(): name for name in rows[0]}
     at, unit = _length_columns(names, Path(path), form)

@@ -24,6 +24,7 @@ class EmFormat:
         time_unit: of times: s, ms, us, ns.
         offset_s: the log's clock when the pictures' shows zero; it is taken off.
         join: ``frame`` where frame numbers are the pictures', ``time`` where they are the tracker's own.
+        tool: name of the sensor's transform in a sequence of Plus, where it has several.
 
     Raises:
         InputError: a word that is none of these.
@@ -33,6 +34,7 @@ class EmFormat:
     time_unit: str | None = None
     offset_s: float = 0.0
     join: str | None = None
+    tool: str | None = None
 
     def __post_init__(self) -> None:
         for name, value, known in (
