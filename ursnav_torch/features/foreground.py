@@ -9,8 +9,10 @@ from torch import Tensor
 
 #: What becomes a region, in the order of the network's odds; clutter is too small and too many.
 KINDS = ("stone", "instrument")
-#: A region's pixels are at least this probable, and its surest this much.
-_EDGE, _SURE = 0.4, 0.6
+#: A region's pixels are at least this probable.
+_EDGE = 0.4
+#: A region is told when it is this probable; chosen by ``python -m benchmarks.wall_network.stones``.
+SURE = 0.8
 #: Share of the picture that a region covers at least.
 _SMALLEST = 0.003
 
@@ -36,13 +38,14 @@ class ForegroundBody:
     mask: NDArray[np.bool_]
 
 
-def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[ForegroundBody, ...]:
+def find_bodies(probability: Tensor, mask: Tensor, scale: float, sure: float = SURE) -> tuple[ForegroundBody, ...]:
     """Bodies in a picture, the largest first.
 
     Args:
         probability: (2, h, w) of each of `KINDS`.
         mask: (h, w) 1.0 inside the picture.
         scale: px of the picture a px here.
+        sure: least probability of a body.
     """
     p, area = (probability * mask).numpy(), float(mask.sum())
     kinds = p.argmax(0)
@@ -52,9 +55,11 @@ def find_bodies(probability: Tensor, mask: Tensor, scale: float) -> tuple[Foregr
             inside = np.zeros(p.shape[1:], bool)
             inside[tuple(region.coords.T)] = True
             values = np.sort(p[row][inside])
-            sure = float(values[-max(1, len(values) // 4) :].mean())
-            if sure >= _SURE and region.area >= _SMALLEST * area:
+            surest = float(values[-max(1, len(values) // 4) :].mean())
+            if surest >= sure and region.area >= _SMALLEST * area:
                 y, x = ((c + 0.5) * scale - 0.5 for c in region.centroid)
                 size = float(np.sqrt(4 * region.area / np.pi)) * scale
-                found.append(ForegroundBody(kind, sure, (float(x), float(y)), size, float(region.area / area), inside))
+                found.append(
+                    ForegroundBody(kind, surest, (float(x), float(y)), size, float(region.area / area), inside)
+                )
     return tuple(sorted(found, key=lambda body: -body.share))
