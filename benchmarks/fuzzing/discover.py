@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import ursnav_torch
+from ursnav_torch.em_log import EmFormat
 
 #: How the names of functions begin that read a file or a folder.
 _VERBS = ("read", "load", "open", "from_json")
@@ -23,6 +24,7 @@ _ARGUMENTS: dict[str, Any] = {
     "most_bytes": 1 << 20,
     "offset_camera_mm": (0.0, 0.0, 0.0),
     "kind": "TDATA",
+    "form": EmFormat(),
 }
 #: Not fed, and why.
 _LEFT_OUT = {

@@ -15,10 +15,12 @@ from ursnav_torch.columns import EM_COLUMNS, LANDMARK_COLUMNS, MATCH_COLUMNS, TR
 from ursnav_torch.devices import Frame, Note, Stamp
 from ursnav_torch.devices.igtl.messages import Message, pack_message
 from ursnav_torch.devices.trackers.ndi import NdiTool, pack_bx
+from ursnav_torch.exports import LabeledMask, read_study, write_seg
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_csv, write_json
 from ursnav_torch.kidney import make_phantom_kidney, write_calyces, write_centerline
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.segmentation import Scan, write_dicom
 from ursnav_torch.session import Recorder
 from ursnav_torch.vid import PlanSettings, build_vid, export_thesis, pose_cells
 
@@ -68,6 +70,9 @@ def _write_tables(folder: Path, poses: list[dict[str, float]]) -> None:
     write_csv(folder / "track.csv", TRACK_COLUMNS, [
         {"frame": i, "t_s": i / 10, "calyx": "A", "state": "tracking"} | poses[i] for i in n
     ])  # fmt: skip
+    fields = {"ProbeToTrackerTransform": "1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1", "ProbeToTrackerTransformStatus": "OK"}
+    lines = [f"Seq_Frame{i:04d}_{k} = {v}\n" for i in n for k, v in (fields | {"Timestamp": str(i / 10)}).items()]
+    (folder / "sequence.mha").write_text("NDims = 3\n" + "".join(lines) + "ElementDataFile = LOCAL\n")
     (folder / "script.csv").write_text("t_s,insertion,light_step,arm\n0,0.5,1,1\n1,0,0,0\n")
 
 
@@ -100,6 +105,20 @@ def _write_scans(folder: Path) -> None:
     scan.SetSpacing((0.7, 0.7, 1.0))
     for name in ("scan.nii", "scan.nii.gz", "scan.nrrd", "scan.mha"):
         sitk.WriteImage(scan, str(folder / name))
+    _write_dicom(folder)
+
+
+def _write_dicom(folder: Path) -> None:
+    """A series of slices, and a segmentation of it."""
+    scan = Scan(np.zeros((12, 10, 5), np.int16), np.eye(4), "scan")
+    write_dicom(scan, folder / "series")
+    try:
+        import highdicom  # noqa: F401
+    except ImportError:
+        return
+    mask = np.zeros((12, 10, 5), bool)
+    mask[3:8, 2:7, 1:4] = True
+    write_seg(folder / "lumen.seg.dcm", [LabeledMask("Lumen", mask)], read_study(folder / "series"), "lumen")
 
 
 def _write_wire(folder: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from ct_series import Ct
 from scipy import ndimage
+from seg_files import read_seg
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.exports import (
@@ -20,7 +21,6 @@ from ursnav_torch.exports import (
     inspected_wall,
     mask_of_mesh,
     point_markup,
-    read_seg,
     read_study,
     write_capture,
     write_fiducials,
@@ -150,11 +150,6 @@ def test_segments_that_cannot_be_are_refused(mask: np.ndarray | None, ct: Ct, tm
     ):
         write_seg(tmp_path / "s.dcm", [LabeledMask("x", given)], ct.study, "lumen")
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_no_segmentation_is_refused(ct: Ct) -> None:
-    with pytest.raises(InputError, match="cannot be read as a DICOM segmentation"):
-        read_seg(next(ct.folder.iterdir()))
 
 
 def test_fiducials_hold_every_point_in_the_cts_frame(ct: Ct, phantom: Kidney, tmp_path: Path) -> None:

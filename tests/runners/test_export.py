@@ -76,7 +76,7 @@ def test_dicom_gets_all_there_is(run: Any, vid: Vid, track: Path, series: Path, 
 
 def test_the_segmentations_own_voxels_and_frame_are_taken(run: Any, vid: Vid, series: Path, tmp_path: Path) -> None:
     pytest.importorskip("highdicom")
-    from ursnav_torch.exports import read_seg
+    from seg_files import read_seg
 
     scan = scan_of(vid)
     scan.voxels[20:25, 10:14, 8:11] = 1

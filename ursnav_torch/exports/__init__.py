@@ -9,7 +9,7 @@ from ursnav_torch.exports.fiducials import write_fiducials
 from ursnav_torch.exports.frame import lps_from_kidney
 from ursnav_torch.exports.inspected import inspected_wall
 from ursnav_torch.exports.mcap import write_mcap
-from ursnav_torch.exports.seg import LabeledMask, mask_of_mesh, read_seg, write_seg
+from ursnav_torch.exports.seg import LabeledMask, mask_of_mesh, write_seg
 from ursnav_torch.exports.slicer import calyx_markup, path_markups, point_markup, write_markups, write_tfm
 from ursnav_torch.exports.study import Study, read_study
 
@@ -22,7 +22,6 @@ __all__ = [
     "mask_of_mesh",
     "path_markups",
     "point_markup",
-    "read_seg",
     "read_study",
     "write_capture",
     "write_fiducials",

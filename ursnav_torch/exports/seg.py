@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.exports.study import Study, highdicom
-from ursnav_torch.extras import import_extra
 from ursnav_torch.files import whole_file
 from ursnav_torch.geometry import Array, apply
 from ursnav_torch.kidney.grid import fill
-from ursnav_torch.segmentation import Scan
-from ursnav_torch.segmentation.scans import transform_of_voxels
 from ursnav_torch.vid.store import package_version
 
 #: Who made the objects, as DICOM wants it said.
@@ -124,28 +121,6 @@ def save(data: Any, path: Path, overwrite: bool) -> None:
     """Write a data set as a DICOM file, whole or not at all."""
     with whole_file(path, overwrite) as partial:
         data.save_as(partial, enforce_file_format=True)
-
-
-def read_seg(path: Path) -> tuple[Scan, ...]:
-    """The segments of a DICOM SEG as label maps of 0 and 1 on its own grid, each named by ``source``.
-
-    Raises:
-        InputError: it is no segmentation, or its frames lie on no grid.
-        MissingExtraError: the extra ``dicom`` is not installed.
-    """
-    highdicom()
-    seg = import_extra("highdicom.seg", "dicom", "Reading a DICOM segmentation")
-    try:
-        data = seg.segread(path)
-        volume = data.get_volume(rescale_fractional=False)
-        labels = [data.get_segment_description(n).SegmentLabel for n in data.segment_numbers]
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{path} cannot be read as a DICOM segmentation ({error}).") from None
-    affine = volume.affine[:, [2, 1, 0, 3]]
-    spacing = np.linalg.norm(affine[:3, :3], axis=0)
-    T = transform_of_voxels(spacing, affine[:3, :3] / spacing, affine[:3, 3], str(path))
-    planes = volume.array.transpose(2, 1, 0, 3).astype(np.int16)
-    return tuple(Scan(planes[..., i], T, label) for i, label in enumerate(labels))
 
 
 def _affine(study: Study) -> Array:
