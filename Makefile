@@ -18,8 +18,11 @@ demo: setup
 
 # Two processes, a file of tests to each in turn: WORKERS=0 runs them in one, to look into a failure.
 WORKERS ?= 2
+# The browser draws the kidney without a graphics card and wants both cores for itself.
+BROWSED := tests/page/test_page_browser.py
 test: check
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --ignore $(BROWSED)
+	$(BIN)/python -m pytest $(BROWSED)
 
 # A site in ursnav_site/; every warning is an error.
 docs: setup-dev

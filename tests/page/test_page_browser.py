@@ -64,6 +64,7 @@ class Tab:
     def __init__(self, browser, url, shown="#strip button"):
         self.errors, self.foreign = [], []
         self.tab = browser.new_page(viewport={"width": 1300, "height": 900})
+        self.tab.set_default_timeout(1e3 * PATIENCE_S)
         self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
         self.tab.on("pageerror", lambda e: self.errors.append(str(e)))
         self.tab.on("request", self._request)
@@ -222,12 +223,15 @@ def test_a_click_on_a_ball_in_the_scene_does_the_same(tab, page):
 
 
 def arm(tab):
-    """The robot armed, whatever stood before: a slow machine stops it, as it should."""
-    if "stopped" in tab.text("robot"):
-        tab.press("acknowledge")
-        tab.wait(lambda text: "disarmed" in text, "robot")
-        tab.tab.keyboard.press("r")
-    tab.wait(lambda text: "armed" in text.split(), "robot")
+    """The robot armed, whatever stood before: a slow machine stops it, as it should, and may lose its place."""
+    until = time.monotonic() + PATIENCE_S
+    while "armed" not in (text := tab.text("robot")).split():
+        assert time.monotonic() < until, f"the robot cannot be armed: {text!r}"
+        if "stopped" in text:
+            tab.press("acknowledge")
+        elif "disarmed" in text:
+            tab.tab.keyboard.press("r")
+        tab.tab.wait_for_timeout(500)
 
 
 def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):

@@ -14,7 +14,9 @@ ROOT = Path(__file__).parents[2]
 def ran(*command: str | Path, cwd: Path, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     """Run a command that must end well; the checkout is not on its path."""
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    done = subprocess.run(list(command), cwd=cwd, capture_output=True, text=True, env=environment, timeout=timeout)
+    done = subprocess.run(
+        list(command), cwd=cwd, capture_output=True, encoding="utf-8", env=environment, timeout=timeout
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done
 

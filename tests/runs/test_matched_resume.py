@@ -37,5 +37,5 @@ def test_an_interrupted_match_goes_on_after_its_last_picture(
     assert len(asked) == 3 + 2  # the two that were done are not asked again
     assert [row["image"] for row in rows] == [f"{i}.png" for i in range(4)]
     assert out.exists() and not partial_path(out).exists() and not partial_path(page).exists()
-    assert (page / "index.html").read_text().count("<article") == 4
+    assert (page / "index.html").read_text(encoding="utf-8").count("<article") == 4
     assert (page / "0_image.jpg").exists()

@@ -128,7 +128,10 @@ def _read_description(folder: Path) -> dict[str, Any]:
             f"{folder} is not a finished VID (it has no vid.json): call build_vid again as before, and it goes on "
             "from where it stopped."
         )
-    description = read_json(path, "VID's description")
+    try:
+        description = read_json(path, "VID's description")
+    except InputError as error:
+        raise InputError(f"{path} is not the description of a VID: {error} Build the VID again.") from None
     try:
         format_, files = description["format"], description["sha256"]
         whole = isinstance(files, dict) and description["checksum"] == _checksum(description)
