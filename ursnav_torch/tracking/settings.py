@@ -89,7 +89,7 @@ class OwnKidneySettings:
         frame_s: time between pictures that these numbers are stated for.
     """
 
-    weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
+    weights: tuple[float, float, float, float] = (-6.75, 17.4, 4.59, -2.26)
     sensor_gate_sd: float = 3.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
