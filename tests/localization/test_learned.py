@@ -1,6 +1,7 @@
 """What was learned about certainty is stored, read again, and used only with the settings that it was learned with."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +35,14 @@ def table(asked: Asked) -> list[dict[str, object]]:
 
 
 @pytest.fixture
-def own_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def own_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A package that has learned with settings "default", and is asked with them."""
     path = tmp_path / "certainty.json"
     monkeypatch.setattr(room, "PACKAGED", path)
     model = learn_certainty(made_up(400))
     save_packaged(Packaged("default", model, model), path)
-    return path
+    yield path
+    room.packaged_models.cache_clear()  # the next test knows the package's own again
 
 
 def test_the_package_has_learned_with_its_default_settings() -> None:
