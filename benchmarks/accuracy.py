@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.shared.kidneys import STYLES, Still, data_folder, kidneys_with, stills, vid_of
-from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.shared.statistics import auroc, calibration_error, wilson
-from ursnav_torch.errors import FeatureError, MissingExtraError, UrsnavError
+from ursnav_torch.errors import FeatureError, MissingExtraError
 from ursnav_torch.features import DefaultSettings, ThesisSettings, read_image
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import LocalizationSettings, Localizer
@@ -143,19 +143,15 @@ def parts_left_out() -> dict[str, Method]:
     }
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     report = Report("accuracy", {})
-    try:
-        folder = data_folder(settings["data"])
-        with tempfile.TemporaryDirectory() as scratch:
-            measure(report, folder, Path(settings["work"] or scratch), settings["rivals"])
-    except UrsnavError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    folder = data_folder(settings["data"])
+    with tempfile.TemporaryDirectory() as scratch:
+        measure(report, folder, Path(settings["work"] or scratch), settings["rivals"])
+    report.finish(settings["out"])
     return 0
 
 

@@ -46,8 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         if settings["big"]:
             _big(report, Path(scratch))
     _prints(report, settings["prints"], settings["data"])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

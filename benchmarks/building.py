@@ -45,8 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     hours, gigabytes = LARGE * per_view / 3600, megabytes / views * LARGE / 1000
     report.add("reckoned for 100,000 views", "time at this rate", "h", [hours], n=1)
     report.add("reckoned for 100,000 views", "on disk", "GB", [gigabytes], n=1)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

@@ -48,8 +48,7 @@ def main(arguments: list[str]) -> None:
             records[choice].append(record)
     for choice, found in records.items():
         (add_refusals if choice.other else add_scores)(report, str(choice), found)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) -> Iterator[tuple[Choice, Record]]:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.shared.kidneys import Still, data_folder, stills
-from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.shared.statistics import wilson
 from ursnav_torch.camera import Camera, load_camera
-from ursnav_torch.errors import UrsnavError
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.files import write_image
@@ -29,21 +28,17 @@ DEFAULTS = {"data": "", "least": 0.01, "out": "", "pictures": ""}
 _NEAR_PX = 8.0
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its table and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     report = Report("foreground", {"least": settings["least"]})
     if settings["pictures"]:
         Path(settings["pictures"]).mkdir(parents=True, exist_ok=True)
-    try:
-        folder = data_folder(settings["data"])
-        for table in sorted(folder.glob("*/*/foreground.csv")):
-            measure(report, folder, table, settings["least"], settings["pictures"])
-    except UrsnavError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    folder = data_folder(settings["data"])
+    for table in sorted(folder.glob("*/*/foreground.csv")):
+        measure(report, folder, table, settings["least"], settings["pictures"])
+    report.finish(settings["out"])
     return 0
 
 

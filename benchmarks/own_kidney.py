@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
+from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, overrides
 from benchmarks.tracking import fly
-from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.tracking.settings import OwnKidneySettings
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import PlanSettings, Vid
 
 SETTINGS = {"phantoms": 8, "views": 150, "pictures": 120, "work": "", "out": ""}
 KINDS = ("thesis_simulation", "thesis_phantom", "in_vivo_like")
@@ -70,16 +69,12 @@ def main(arguments: list[str]) -> None:
                 print(f"phantom {i + 1} of {len(vids)}, {kind}", file=sys.stderr, flush=True)
     _tell(report, flights)
     _fit(report, flights)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _vid(seed: int, views: int, work: Path) -> Vid:
-    folder = work / f"own_kidney_{seed}_{views}"
-    if not folder.exists():
-        kidney, lens = make_phantom_kidney(seed, calyces=6 + seed % 4), equidistant_camera(160.0, 250, 250)
-        build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, PlanSettings(views, views), folder, workers=1)
-    return load_vid(folder)
+    kidney = make_phantom_kidney(seed, calyces=6 + seed % 4)
+    return phantom_vid(kidney, PlanSettings(views, views), work / f"own_kidney_{seed}_{views}")
 
 
 def _flight(seen: Vid, vid: Vid, kind: str, seed: int, pictures: int) -> Flight:

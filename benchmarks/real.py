@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.results import Report, errors_told, overrides
 from ursnav_torch.camera import load_camera
 from ursnav_torch.columns import POSE_COLUMNS
-from ursnav_torch.errors import FeatureError, InputError, UrsnavError
+from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import DefaultSettings, read_image
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import load_mesh_kidney
@@ -51,26 +51,22 @@ class Sequenced:
     T_kidney_camera: Array
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     report = Report("real", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
-    try:
-        folder = Path(settings["data"])
-        missing = [name for name in FILES if not (folder / name).exists()]
-        if not settings["data"] or missing:
-            raise InputError(f"data={settings['data']} lacks {', '.join(missing)}; see the suite's docstring.")
-        with tempfile.TemporaryDirectory() as scratch:
-            vid = real_vid(folder, Path(settings["work"] or scratch), settings["calibrate"])
-            taken = sequenced(folder)
-            blind(report, vid, taken, settings)
-            stills(report, vid, taken, settings)
-            video(report, vid, taken, settings)
-    except UrsnavError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    folder = Path(settings["data"])
+    missing = [name for name in FILES if not (folder / name).exists()]
+    if not settings["data"] or missing:
+        raise InputError(f"data={settings['data']} lacks {', '.join(missing)}; see the suite's docstring.")
+    with tempfile.TemporaryDirectory() as scratch:
+        vid = real_vid(folder, Path(settings["work"] or scratch), settings["calibrate"])
+        taken = sequenced(folder)
+        blind(report, vid, taken, settings)
+        stills(report, vid, taken, settings)
+        video(report, vid, taken, settings)
+    report.finish(settings["out"])
     return 0
 
 

@@ -18,18 +18,18 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, overrides
 from ursnav_torch.alignment import EdgePnp, RefinementSettings, Refiner
-from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.evaluation import pose_errors
-from ursnav_torch.features import DefaultSettings, Features, read_image
+from ursnav_torch.features import Features, read_image
 from ursnav_torch.geometry import transform_from, transform_from_quaternion
 from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
 from ursnav_torch.localization import LocalizationSettings, Localizer, Location
 from ursnav_torch.rendering import RaycastRenderer, WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid, plan_views
+from ursnav_torch.vid import PlanSettings, Vid, load_vid, plan_views
 
 Array = NDArray[np.float64]
 Picture = tuple[NDArray[np.uint8], Array]  # with its T_kidney_camera
@@ -59,8 +59,7 @@ def main(arguments: Sequence[str]) -> int:
         for truth in folders:
             compare(report, f"given pictures, {truth.parent.name}", localizer, ways, _given(truth))
         basin(report, vid, lumen, settings["starts"])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 
@@ -137,8 +136,7 @@ def _ways(vid: Vid, lumen: LumenDistance) -> dict[str, Way]:
 def _phantom_vid(folder: Path) -> Vid:
     """A small VID of a phantom kidney."""
     plan = PlanSettings(views_per_calyx=120, passage_views=120)
-    kidney = make_phantom_kidney(7, calyces=6)
-    return build_vid(kidney, equidistant_camera(), DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1)
+    return phantom_vid(make_phantom_kidney(7, calyces=6), plan, folder / "vid")
 
 
 def _simulated(vid: Vid, preset: str, count: int, warp_mm: float = 1.0) -> Iterator[Picture]:

@@ -56,8 +56,7 @@ def main(arguments: list[str]) -> None:
     for seed in range(settings["phantoms"]):
         _phantom(report, seed)
     _verdicts(report, settings["matches"])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _real(report: Report, folder: Path, cuts: bool) -> None:

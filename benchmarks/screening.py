@@ -56,8 +56,7 @@ def main(arguments: Sequence[str]) -> int:
         screen = Screen(path)
         for keep, clutter, shift in CASES:
             recall(report, screen, asked, numbers, keep, clutter, shift)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

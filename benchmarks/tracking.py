@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.shared.kidneys import vid_of
+from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, overrides, resident_mb
-from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
 from ursnav_torch.exploration.coverage import Coverage
-from ursnav_torch.features import DefaultSettings
 from ursnav_torch.geometry import look_along, transform_from_quaternion
 from ursnav_torch.kidney import Kidney, make_phantom_kidney, observed_calyx
 from ursnav_torch.rendering import RaycastRenderer
@@ -38,7 +37,7 @@ from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import PlanSettings, Vid
 
 SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "offline": True, "pictures": 0, "out": ""}
 Array = NDArray[np.float64]
@@ -74,8 +73,7 @@ def main(arguments: list[str]) -> None:
             cases = videos + cases
         if settings["pictures"] and cases:
             _memory(report, *cases[0], settings["pictures"])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]], offline: bool) -> None:
@@ -198,13 +196,9 @@ def _sensor(em: Path, description: Path) -> list[SensorReading]:
 
 def _phantom(seed: int, settings: dict[str, Any], work: Path) -> tuple[Vid, list[Exploration]]:
     """A phantom's VID, and a simulated flight in and out of its calyces, of half of them, blurred and dimmed."""
-    kidney, lens = make_phantom_kidney(seed, calyces=6), equidistant_camera(160.0, 250, 250)
     plan = PlanSettings(settings["views_per_calyx"], settings["views_per_calyx"])
-    folder = work / f"phantom_{seed}"
-    if not folder.exists():
-        build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
-    vid = load_vid(folder)
-    lumen, renderer = vid.lumen, RaycastRenderer(vid.kidney.mesh, lens)
+    vid = phantom_vid(make_phantom_kidney(seed, calyces=6), plan, work / f"phantom_{seed}")
+    lumen, renderer = vid.lumen, RaycastRenderer(vid.kidney.mesh, vid.camera)
     preset = ("thesis_simulation", "thesis_phantom")[seed % 2]
     T = fly(vid.kidney, range(0, 6, 2), np.random.default_rng(seed))
     found = observed_calyx(T, vid.kidney, lumen)

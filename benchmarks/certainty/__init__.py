@@ -27,8 +27,7 @@ from benchmarks.certainty.figures import Told, report_told, told
 from benchmarks.certainty.flights import learn_track
 from benchmarks.certainty.kidneys import judge_kidneys
 from benchmarks.certainty.population import asked_of, current_settings, kinds, kinds_without
-from benchmarks.shared.results import Report, overrides
-from ursnav_torch.errors import UrsnavError
+from benchmarks.shared.results import Report, errors_told, overrides
 from ursnav_torch.localization.calibrating import learn_certainty
 from ursnav_torch.localization.certainty import CertaintyModel
 from ursnav_torch.localization.fitting import Asked
@@ -40,6 +39,7 @@ DEFAULTS = {
 }  # fmt: skip
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Learn, judge, print the tables and write the JSON file."""
     settings = overrides(DEFAULTS, arguments)
@@ -47,19 +47,14 @@ def main(arguments: Sequence[str]) -> int:
         print(f"error: phantoms={settings['phantoms']} leaves none to judge by; give 3 or more", file=sys.stderr)
         return 2
     report = Report("certainty", {k: v for k, v in settings.items() if k not in ("out", "work", "data", "save")})
-    try:
-        with tempfile.TemporaryDirectory() as scratch:
-            work = Path(settings["work"] or scratch)
-            work.mkdir(parents=True, exist_ok=True)
-            if settings["learn"]:
-                _learn(report, settings, work)
-            if settings["data"]:
-                judge_kidneys(report, Path(settings["data"]), work, settings["risk"], settings["probability"])
-    except UrsnavError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(settings["work"] or scratch)
+        work.mkdir(parents=True, exist_ok=True)
+        if settings["learn"]:
+            _learn(report, settings, work)
+        if settings["data"]:
+            judge_kidneys(report, Path(settings["data"]), work, settings["risk"], settings["probability"])
+    report.finish(settings["out"])
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.certainty.population import MAKE_RENDERER, current_settings, phantom_vid
+from benchmarks.certainty.population import RaycastRenderer, current_settings, vid_of_phantom
 from benchmarks.shared.results import Report
 from benchmarks.tracking import fly
 from ursnav_torch.files import write_json
@@ -64,14 +64,14 @@ def _rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[str, An
         kept = json.loads(path.read_text(encoding="utf-8"))
         if kept["settings"] == current_settings():
             return list(kept["rows"])
-    rows = _flown(phantom_vid(seed, views, work), seed, pictures)
+    rows = _flown(vid_of_phantom(seed, views, work), seed, pictures)
     write_json(path, {"settings": current_settings(), "rows": rows})
     print(f"phantom {seed}: {len(rows)} pictures of a flight tracked", file=sys.stderr, flush=True)
     return rows
 
 
 def _flown(vid: Vid, seed: int, pictures: int) -> list[dict[str, Any]]:
-    rng, renderer = np.random.default_rng(90_000 + seed), MAKE_RENDERER(vid.kidney.mesh, vid.camera)
+    rng, renderer = np.random.default_rng(90_000 + seed), RaycastRenderer(vid.kidney.mesh, vid.camera)
     T = fly(vid.kidney, range(0, 4, 2), rng, 0.8)[:pictures]
     true = observed_calyx(T, vid.kidney, vid.lumen).tolist()
     faults, tracker = draw_faults(LEARNED_FROM[KINDS[seed % len(KINDS)]], rng), Tracker(vid)

@@ -4,14 +4,13 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ursnav_torch.camera import equidistant_camera
+from benchmarks.shared.phantoms import phantom_vid
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.kidney import make_phantom_kidney
@@ -19,17 +18,16 @@ from ursnav_torch.localization import Localizer
 from ursnav_torch.localization.fitting import Asked
 from ursnav_torch.localization.learn import ask, nothing_queries, simulated_queries
 from ursnav_torch.localization.learned import asked_from_table, evidence_table
-from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset
 from ursnav_torch.rendering.sensor.presets import IN_VIVO_LIKE
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import PlanSettings, Vid
 
 #: Groups of faults that are widened alone.
 GROUPS = ("wall", "light", "bodies", "occluders", "optics")
 FIRST_SEED = 2000
 #: Calyces of the phantoms, in turn.
 CALYCES = (7, 9, 6, 8, 10, 7)
-MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
 
 
 def kinds() -> dict[str, Preset]:
@@ -62,7 +60,7 @@ def phantom_rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[
     if path.exists():
         kept = json.loads(path.read_text(encoding="utf-8"))
         settings = kept["settings"]
-    vid = None if settings == current_settings() else phantom_vid(seed, views, work)
+    vid = None if settings == current_settings() else vid_of_phantom(seed, views, work)
     if vid is not None:
         rows = _asked(vid, pictures, views, seed)
         kept = {"settings": Localizer(vid).evidence_settings(), "rows": rows}
@@ -76,14 +74,11 @@ def current_settings() -> str:
     return Localizer.settings_line(DefaultSettings())
 
 
-def phantom_vid(seed: int, views: int, work: Path) -> Vid:
-    """The VID of one phantom, from the work folder where it lies there already."""
-    out = work / f"certainty_vid_{seed:03d}_{views}"
-    if (out / "vid.json").exists():
-        return load_vid(out)
+def vid_of_phantom(seed: int, views: int, work: Path) -> Vid:
+    """The VID of one phantom of the population."""
     kidney = make_phantom_kidney(seed=FIRST_SEED + seed, calyces=CALYCES[seed % len(CALYCES)])
     plan = PlanSettings(views_per_calyx=views, passage_views=views)
-    return build_vid(kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, workers=1)
+    return phantom_vid(kidney, plan, work / f"certainty_vid_{seed:03d}_{views}")
 
 
 def _asked(vid: Vid, pictures: int, views: int, seed: int) -> list[dict[str, Any]]:
@@ -93,8 +88,8 @@ def _asked(vid: Vid, pictures: int, views: int, seed: int) -> list[dict[str, Any
     plan = replace(PlanSettings(), views_per_calyx=each, passage_views=each, roll_deg=180.0, seed=501 + seed)
     shuffled = _shuffled(presets, rng)
     queries = chain(
-        simulated_queries(vid, MAKE_RENDERER, plan, rng, shuffled),
-        nothing_queries(vid, MAKE_RENDERER, rng, 2 * pictures),
+        simulated_queries(vid, RaycastRenderer, plan, rng, shuffled),
+        nothing_queries(vid, RaycastRenderer, rng, 2 * pictures),
     )
     asked = ask(Localizer(vid), queries, lambda n: None)
     table = evidence_table(asked)

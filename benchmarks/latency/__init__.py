@@ -42,8 +42,7 @@ def main(arguments: Sequence[str]) -> int:
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
     report.add("memory", "peak of this process", "GiB", [used])
     report.add("memory", "peak of the largest worker", "GiB", [children])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

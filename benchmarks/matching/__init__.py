@@ -7,7 +7,6 @@ out=FILE.json``. OpenCV's extractors need opencv-contrib-python-headless; withou
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,8 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     sampling(report)
     if settings["growth"]:
         growth(report, settings["rounds"])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

@@ -51,8 +51,7 @@ def main(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         navigator, frames = prepare(settings, Path(folder))
         _measure(report, navigator, frames, settings)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def prepare(settings: dict[str, Any], folder: Path) -> tuple[Navigator, list[Frame]]:

@@ -81,8 +81,7 @@ def main(arguments: list[str]) -> None:
         navigator, frames = prepare(settings, Path(folder))
         with _navigating(navigator, frames, settings["rate_hz"]):
             _measure(report, navigator, settings)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _measure(report: Report, navigator: Navigator, settings: dict[str, Any]) -> None:

@@ -18,22 +18,20 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import auroc, calibration_error, wilson
-from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.errors import FeatureError
-from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import LocalizationSettings, Localizer, Query, learn_confidence, simulated_queries
-from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, none_pictures
-from ursnav_torch.vid import DaskCompute, PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import DaskCompute, PlanSettings, Vid
 
 DEFAULTS = {"phantoms": 20, "pictures": 3, "views": 240, "work": "", "out": "", "compute": "local"}
 NEAREST, REFINED = HOW = ("nearest views", "refined")
-MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -50,8 +48,7 @@ def main(arguments: Sequence[str]) -> int:
             print(f"phantom {seed + 1} of {settings['phantoms']}", file=sys.stderr)
     for how in HOW:
         _score(report, how, [a for a in answers if a["how"] == how])
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 
@@ -77,19 +74,11 @@ def phantom_answers(
     path = work / f"phantom_{seed:03d}_{settings['views']}_{settings['pictures']}.json"
     if not path.exists():
         plan = PlanSettings(views_per_calyx=settings["views"])
-        vid = _vid(seed, plan, work / f"vid_{seed:03d}_{settings['views']}", workers)
+        learn = partial(learn_confidence, make_renderer=RaycastRenderer, plan=plan)
+        out = work / f"vid_{seed:03d}_{settings['views']}"
+        vid = phantom_vid(make_phantom_kidney(seed=1000 + seed), plan, out, learn, workers)
         write_json(path, {"answers": _ask(vid, plan, settings["pictures"], seed)})
     return list(json.loads(path.read_text(encoding="utf-8"))["answers"])
-
-
-def _vid(seed: int, plan: PlanSettings, out: Path, workers: int | None) -> Vid:
-    if (out / "vid.json").exists():
-        return load_vid(out)
-    learn = partial(learn_confidence, make_renderer=MAKE_RENDERER, plan=plan)
-    kidney = make_phantom_kidney(seed=1000 + seed)
-    return build_vid(
-        kidney, equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out, workers=workers, learn=learn
-    )
 
 
 def _ask(vid: Vid, plan: PlanSettings, pictures: int, seed: int) -> list[dict[str, Any]]:
@@ -107,9 +96,9 @@ def _ask(vid: Vid, plan: PlanSettings, pictures: int, seed: int) -> list[dict[st
     )
     localizers = {how: Localizer(vid, settings=LocalizationSettings(refine=how == REFINED)) for how in HOW}
     rows = []
-    for query in simulated_queries(vid, MAKE_RENDERER, alike, rng):
+    for query in simulated_queries(vid, RaycastRenderer, alike, rng):
         rows += [_row(localizer, query) | {"how": how} for how, localizer in localizers.items()]
-    renderer = MAKE_RENDERER(vid.kidney.mesh, vid.camera)
+    renderer = RaycastRenderer(vid.kidney.mesh, vid.camera)
     for image, kind in none_pictures(rng, 6, renderer, vid.T_kidney_camera):
         for how, localizer in localizers.items():
             try:

@@ -59,8 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     score(report, title, "shape context, points in order", fine, labels)
     told(report, title, "shortlist by points in order", start, len(shapes))
     score(report, title, "the same, re-ranked by neighborhoods (uses the gallery)", -diffuse(fine), labels)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

@@ -62,8 +62,7 @@ def main(arguments: list[str]) -> None:
     report = Report("session", settings)
     with tempfile.TemporaryDirectory() as folder:
         (_soak if settings["faults_every_s"] else _measure)(report, settings, Path(folder))
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
 
 
 def _measure(report: Report, settings: dict[str, Any], folder: Path) -> None:

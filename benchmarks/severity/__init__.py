@@ -51,8 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     axes.legend(loc="lower left")
     if settings["picture"]:
         figure.savefig(settings["picture"], dpi=110)
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.shared.kidneys import vid_of
-from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.features import DefaultSettings
+from benchmarks.shared.phantoms import phantom_vid
 from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.deform import Deformation, WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, SensorFaults, severity, simulate
 from ursnav_torch.simulation.flight import Flight, FlightSettings, fly
 from ursnav_torch.simulation.twin import Scope
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid
+from ursnav_torch.vid import PlanSettings, Vid
 
 Array = NDArray[np.float64]
 
@@ -110,12 +109,7 @@ def vid_for(case: Case, views: int, work: Path, data: Path | None) -> Vid:
     if case.seed < 0:
         assert data is not None
         return vid_of(data, case.kidney, work, f"flights_{views}", plan=plan, calibrate=False)
-    folder = work / f"{case.kidney}_{views}"
-    if not (folder / "vid.json").exists():
-        kidney = make_phantom_kidney(case.seed, calyces=6 + case.seed % 4)
-        lens = equidistant_camera(160.0, _LENS_PX, _LENS_PX)
-        build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder, workers=1)
-    return load_vid(folder)
+    return phantom_vid(make_phantom_kidney(case.seed, calyces=6 + case.seed % 4), plan, work / f"{case.kidney}_{views}")
 
 
 def flown(case: Case, vid: Vid, lumen: LumenDistance, pictures: int, work: Path) -> Flown:

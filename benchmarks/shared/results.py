@@ -4,6 +4,7 @@ Method: every row of a group is measured on the same input in the same process, 
 warm-up, so that a busy machine slows all of them alike; the median and the quartiles are kept, losing rows too.
 """
 
+import functools
 import json
 import math
 import os
@@ -21,7 +22,7 @@ from typing import Any
 
 import torch
 
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import InputError, UrsnavError
 
 FOLDER = Path(__file__).parents[1] / "results"
 FORMAT = 1
@@ -83,6 +84,11 @@ class Report:
         partial.replace(path)
         return path
 
+    def finish(self, out: str = "") -> None:
+        """Print the tables, write the JSON file (to `FOLDER` when ``out`` is empty) and say where it is."""
+        print(self.table())
+        print(f"\nwritten to {self.write(Path(out) if out else None)}")
+
     def table(self) -> str:
         """The rows as one Markdown table a group."""
         lines: list[str] = []
@@ -92,6 +98,20 @@ class Report:
                 low, high = (_number(q) for q in r.quartiles)
                 lines.append(f"| {r.name} | {_number(r.median)} {r.unit} | {low} to {high} | {r.n} | {r.note} |")
         return "\n".join([*lines, "", *(f"skipped {s['name']}: {s['reason']}" for s in self.skipped)])
+
+
+def errors_told(main: Callable[[Sequence[str]], int]) -> Callable[[Sequence[str]], int]:
+    """A suite's ``main`` that says in one line what was wrong with what it was given, and returns 1."""
+
+    @functools.wraps(main)
+    def told(arguments: Sequence[str]) -> int:
+        try:
+            return main(arguments)
+        except UrsnavError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+
+    return told
 
 
 def time_interleaved(

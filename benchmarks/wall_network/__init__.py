@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 from safetensors.torch import save
 
-from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.wall_network.pictures import lesson
 from benchmarks.wall_network.targets import Batch, batch_of, join
 from benchmarks.wall_network.train import train, validate
@@ -33,6 +33,7 @@ DEFAULTS = {
 LEARNED_FROM, KEPT_BACK = 7000, 8000
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Draw what is not drawn yet, teach, judge, write."""
     settings = overrides(DEFAULTS, arguments)
@@ -52,8 +53,8 @@ def main(arguments: Sequence[str]) -> int:
         report.add("phantoms kept back, loss", name.replace("_", " "), "of 1", [value], n=len(kept_back))
     report.add("size", "weights", "of them", [sum(p.numel() for p in network.parameters())])
     report.add("size", "file", "kB", [where.stat().st_size / 1e3])
-    print(report.table())
-    print(f"\nweights: {where}\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    print(f"weights: {where}")
+    report.finish(settings["out"])
     return 0
 
 

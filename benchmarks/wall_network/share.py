@@ -1,98 +1,73 @@
 """How much of the relief the wall network should say: ``python -m benchmarks.wall_network.share work=DIR``.
 
-Pictures of phantoms that the network never saw, of four kinds (`WIDE`, the same through a good sensor, in vivo like,
-printed phantom), three of the kinds in a kidney that has moved and swollen, are located with each share and with the
-foreground left in; what is right is counted. Arguments, each ``key=value``: ``work=DIR`` (keeps the VIDs),
-``phantoms=2`` ``views=120`` (a calyx) ``pictures=3`` (a calyx and kind) ``out=FILE.json``.
+Pictures of phantoms that the network never saw, of every kind that certainty is learned from, are located with each
+share; what is right is counted, and how far off positions are. Arguments, each ``key=value``: ``work=DIR`` (keeps the
+VIDs), ``phantoms=3`` ``views=60`` (a calyx) ``pictures=24`` (a calyx, the kinds taking turns) ``out=FILE.json``.
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.shared.results import Report, overrides
-from benchmarks.wall_network.pictures import good_sensor
-from ursnav_torch.camera import equidistant_camera
+from benchmarks.certainty.population import kinds
+from benchmarks.shared.phantoms import phantom_vid
+from benchmarks.shared.results import Report, errors_told, overrides
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
-from ursnav_torch.localization import Localizer
-from ursnav_torch.rendering import HeadLight, RaycastRenderer, WarpSettings, deform_mesh
-from ursnav_torch.rendering.sensor import draw_faults, simulate
-from ursnav_torch.rendering.sensor.presets import IN_VIVO_LIKE, THESIS_PHANTOM, WIDE
-from ursnav_torch.vid import PlanSettings, Vid, build_vid, load_vid, plan_views
+from ursnav_torch.localization import Localizer, Query, simulated_queries
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.vid import PlanSettings
 
-DEFAULTS = {"work": "", "phantoms": 2, "views": 120, "pictures": 3, "out": ""}
+DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "out": ""}
 FIRST_SEED = 1100
-SHARES = (0.0, 0.3, 0.5, 1.0)
-KINDS = {"wide": WIDE, "wide, good sensor": WIDE, "in vivo like": IN_VIVO_LIKE, "printed phantom": THESIS_PHANTOM}
-MAKE_RENDERER = partial(RaycastRenderer, light=HeadLight())
+SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
+#: What a picture that shows too little is off by, mm.
+_NOWHERE_MM = 100.0
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
-    """Run the choice, print its table and write its JSON file."""
+    """Run the choice, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     if not settings["work"]:
         raise InputError("work= must name a folder for the phantoms' VIDs.")
     report = Report("wall_network_share", {k: v for k, v in settings.items() if k not in ("work", "out")})
-    right: dict[tuple[str, float], list[bool]] = {}
+    answers: dict[tuple[str, float], list[tuple[bool, float]]] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + settings["phantoms"]):
-        vid = vid_of(seed, settings["views"], Path(settings["work"]))
+        plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
+        vid = phantom_vid(make_phantom_kidney(seed), plan, Path(settings["work"]) / f"share_{seed}_{settings['views']}")
+        alike = replace(
+            plan, views_per_calyx=settings["pictures"], passage_views=0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0,
+            roll_deg=180.0, seed=77,
+        )  # fmt: skip
         asked = {share: Localizer(replace(vid, settings=DefaultSettings(learned=share))) for share in SHARES}
-        for kind, image, calyx in pictures(vid, settings["pictures"], seed):
+        for query in simulated_queries(vid, RaycastRenderer, alike, np.random.default_rng(seed), kinds()):
             for share, localizer in asked.items():
-                right.setdefault((kind, share), []).append(_right(localizer, image, calyx))
+                answer = _answer(localizer, query)
+                for kind in (query.preset, "all kinds"):
+                    answers.setdefault((kind, share), []).append(answer)
         print(f"phantom {seed} done", file=sys.stderr, flush=True)
-    for (kind, share), own in sorted(right.items()):
-        note = f"{sum(own)}/{len(own)}"
-        report.add(f"right calyx, {kind}", f"learned={share}", "%", [100 * float(np.mean(own))], note, len(own))
-    for share in SHARES:
-        own = [r for (_, s), some in right.items() if s == share for r in some]
-        note = f"{sum(own)}/{len(own)}"
-        report.add("right calyx, all kinds", f"learned={share}", "%", [100 * float(np.mean(own))], note, len(own))
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    for (kind, share), own in sorted(answers.items()):
+        right = [r for r, _ in own]
+        note = f"{sum(right)}/{len(own)}"
+        report.add(f"right calyx, {kind}", f"learned={share}", "%", [100 * float(np.mean(right))], note, len(own))
+        report.add(f"position, {kind}", f"learned={share}", "mm", [mm for _, mm in own])
+    report.finish(settings["out"])
     return 0
 
 
-def vid_of(seed: int, views: int, work: Path) -> Vid:
-    """A phantom's VID, built once."""
-    out = work / f"share_{seed}_{views}"
-    if (out / "vid.json").exists():
-        return load_vid(out)
-    work.mkdir(parents=True, exist_ok=True)
-    plan = PlanSettings(views_per_calyx=views)
-    return build_vid(make_phantom_kidney(seed), equidistant_camera(), DefaultSettings(), MAKE_RENDERER, plan, out)
-
-
-def pictures(vid: Vid, count: int, seed: int) -> Iterator[tuple[str, NDArray[np.uint8], int]]:
-    """Kind, picture and calyx, from 3 to 11 mm before the calyces' tips, at any roll."""
-    rng = np.random.default_rng(seed)
-    plan = PlanSettings(
-        views_per_calyx=count, passage_views=0, nearest_mm=3, farthest_mm=11, tilt_deg=8, roll_deg=180, seed=77
-    )
-    views = plan_views(vid.kidney, vid.lumen, plan)
-    for kind, preset in KINDS.items():
-        moved = deform_mesh(vid.kidney.mesh, WarpSettings(amplitude_mm=1.2, distension=0.05), rng)
-        still = kind == "printed phantom"
-        renderer = MAKE_RENDERER(vid.kidney.mesh if still else moved.mesh, vid.camera)
-        for T, calyx in zip(views.T_kidney_camera, views.calyx, strict=True):
-            faults = draw_faults(preset, rng)
-            if kind == "wide, good sensor":
-                faults = good_sensor(faults, rng)
-            yield kind, simulate(renderer, T if still else moved.carry(T), faults, rng), int(calyx)
-
-
-def _right(localizer: Localizer, image: NDArray[np.uint8], calyx: int) -> bool:
+def _answer(localizer: Localizer, query: Query) -> tuple[bool, float]:
+    """Whether the calyx is right, and how far off the position is, mm."""
     try:
-        return localizer.locate(image).calyx == calyx
+        found = localizer.locate(query.image)
     except FeatureError:
-        return False
+        return False, _NOWHERE_MM
+    off = float(np.linalg.norm(found.T_kidney_camera[:3, 3] - query.T_kidney_camera[:3, 3]))
+    return found.calyx == query.calyx, off
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.wall_network.pictures import Lesson, lesson
 from ursnav_torch.errors import InputError
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
@@ -52,6 +52,7 @@ class Count:
         self.quiet += not stones.any() and not found
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Count, print the table and write the JSON file."""
     settings = overrides(DEFAULTS, arguments)
@@ -71,8 +72,7 @@ def main(arguments: Sequence[str]) -> int:
             ("quiet", c.quiet, c.without),
         ):
             report.add(f"stones, {what}", f"sure={sure}", "%", [100 * good / max(of, 1)], f"{good}/{of}", max(of, 1))
-    print(report.table())
-    print(f"\nwritten to {report.write(Path(settings['out']) if settings['out'] else None)}")
+    report.finish(settings["out"])
     return 0
 
 

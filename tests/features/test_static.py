@@ -59,6 +59,14 @@ def test_few_pictures_or_a_scope_at_rest_tell_nothing() -> None:
     assert scene_of(pictures(1) * 30, INSIDE) is None
 
 
+def test_a_scope_that_hardly_moves_tells_nothing() -> None:
+    """Part of the picture has changed, part of it a little, and part not at all: nothing is burnt in."""
+    still, moved = pictures(2)
+    share = np.linspace(0, 1, 250)[None, :, None]
+    shown = [(still + s * share * (moved.astype(float) - still)).astype(np.uint8) for s in np.linspace(0, 1, 24)]
+    assert scene_of(shown, INSIDE) is None
+
+
 def test_pictures_of_another_size_are_left_out() -> None:
     assert scene_of([np.zeros((10, 10), np.uint8)] * 20, INSIDE) is None
     seen = StillPixels(INSIDE)

@@ -1,5 +1,7 @@
 """What the scope adds to every picture, learned and taken out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -34,15 +36,15 @@ def with_halo(image: np.ndarray) -> np.ndarray:
 def test_a_halo_is_learned_from_other_views_and_taken_out_of_the_next(
     vid: Vid, renderer: RaycastRenderer, extractor: DefaultExtractor
 ) -> None:
-    pattern = ScopePattern(extractor)
+    pattern = ScopePattern()
     clean = [extractor.extract(renderer.render(T).image) for T in vid.T_kidney_camera[:24]]
     seen = [extractor.extract(with_halo(renderer.render(T).image)) for T in vid.T_kidney_camera[:24]]
     for i in range(20):
         pattern.learn(seen[i], clean[i].fields[0].numpy(), vid.T_kidney_camera[i])
-    left = [1 - likeness(pattern.removed(seen[i]), clean[i]) for i in range(20, 24)]
+    left = [1 - likeness(pattern.removed(seen[i], extractor), clean[i]) for i in range(20, 24)]
     before = [1 - likeness(seen[i], clean[i]) for i in range(20, 24)]
     assert np.mean(left) < 0.75 * np.mean(before)
-    assert pattern.removed(seen[20]).edges is seen[20].edges
+    assert pattern.removed(seen[20], extractor).edges is seen[20].edges
 
 
 def likeness(a: Features, b: Features) -> float:
@@ -54,7 +56,7 @@ def test_the_first_picture_counts_as_one_of_five_and_old_ones_fade(
     extractor: DefaultExtractor, picture: np.ndarray
 ) -> None:
     """Against four pictures of no pattern: one picture's own relief is no pattern yet."""
-    pattern, features = ScopePattern(extractor), extractor.extract(picture)
+    pattern, features = ScopePattern(), extractor.extract(picture)
     assert pattern.value() is None
     relief, flat = features.fields[0], np.zeros((40, 40), np.float32)
     pattern.learn(features, flat, HERE)
@@ -62,12 +64,12 @@ def test_the_first_picture_counts_as_one_of_five_and_old_ones_fade(
     for _ in range(400):
         pattern.learn(features, flat, HERE)
     torch.testing.assert_close(pattern.value(), relief * (1 / 0.03) / (1 / 0.03 + 4.0), atol=1e-3, rtol=1e-3)
-    torch.testing.assert_close(pattern.removed(features).fields[0], relief - pattern.value())
+    torch.testing.assert_close(pattern.removed(features, extractor).fields[0], relief - pattern.value())
 
 
 def test_nothing_learned_nothing_removed(vid: Vid, picture: np.ndarray, extractor: DefaultExtractor) -> None:
     features = extractor.extract(picture)
-    assert ScopePattern(extractor).removed(features) is features
+    assert ScopePattern().removed(features, extractor) is features
 
 
 def test_maps_and_fields_follow_the_relief(picture: np.ndarray, extractor: DefaultExtractor) -> None:
@@ -78,7 +80,7 @@ def test_maps_and_fields_follow_the_relief(picture: np.ndarray, extractor: Defau
 
 
 def test_only_well_aligned_pictures_from_new_places_teach(extractor: DefaultExtractor, picture: np.ndarray) -> None:
-    pattern, features = ScopePattern(extractor, unit_mm=2.0), extractor.extract(picture)
+    pattern, features = ScopePattern(unit_mm=2.0), extractor.extract(picture)
     assert pattern.tells(HERE, 0.8) and not pattern.tells(HERE, 0.4)
     pattern.learn(features, features.fields[0].numpy(), HERE)
     assert not pattern.tells(HERE, 0.8)
@@ -93,3 +95,13 @@ def test_a_refined_pose_is_scored_as_it_was_refined(vid: Vid, picture: np.ndarra
     drawn, own = refiner.relief(found), features.fields[:1]
     size = torch.nn.functional.interpolate(own[None], drawn.shape, mode="bilinear", antialias=True)[0, 0]
     assert np.corrcoef(size.flatten(), drawn.flatten())[0, 1] > 0.9
+
+
+def test_what_lies_before_the_wall_teaches_nothing(picture: np.ndarray, extractor: DefaultExtractor) -> None:
+    features = extractor.extract(picture)
+    valid = torch.ones_like(features.fields[0])
+    valid[:20] = 0
+    pattern = ScopePattern()
+    pattern.learn(replace(features, valid=valid), np.zeros((40, 40), np.float32), HERE)
+    assert float(pattern.value()[:20].abs().max()) == 0
+    torch.testing.assert_close(pattern.value()[20:], features.fields[0][20:] / 5)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from flights import ahead_by, flight
 
 from ursnav_torch.errors import InputError
@@ -134,9 +135,11 @@ def test_the_way_back_sees_what_the_way_there_saw(vid: Vid, source: Source) -> N
     tracker = Tracker(vid)
     features = tracker.extract(next(source.moments()).image)
     assert features is not None
-    again = tracker.recall(features.fields[0])
-    np.testing.assert_array_equal(again.maps, features.maps)
-    np.testing.assert_array_equal(again.fields, features.fields)
+    for valid in (features.valid, torch.rand(features.fields.shape[1:])):
+        again = tracker.recall(tracker.planes(replace(features, valid=valid)))
+        np.testing.assert_array_equal(again.maps, features.maps)
+        np.testing.assert_array_equal(again.fields, features.fields)
+        np.testing.assert_array_equal(again.valid, valid)
 
 
 def test_an_interruption_gives_the_live_answers_so_far(vid: Vid, source: Source) -> None:

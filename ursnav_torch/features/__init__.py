@@ -1,6 +1,6 @@
 """From a picture to what can be matched: edge points, and polar maps of relief and edge direction."""
 
-from ursnav_torch.features.base import NO_EDGES, NO_MAPS, EdgePoints, Extractor, Features
+from ursnav_torch.features.base import NO_EDGES, NO_MAPS, NOTHING_BEFORE, EdgePoints, Extractor, Features
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.flatten import LocalPlane
 from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
@@ -11,6 +11,7 @@ from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
 
 __all__ = [
     "IMAGE_SUFFIXES",
+    "NOTHING_BEFORE",
     "NO_EDGES",
     "NO_MAPS",
     "DefaultExtractor",

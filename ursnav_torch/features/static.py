@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: So many pictures at least tell what never changes.
+#: So many pictures at least tell what never changes; in a video, whose pictures resemble each other, it takes more.
 ENOUGH = 12
-#: Gray values within which a pixel's extremes lie where it never changes; JPEG alone moves a pixel by a few.
-_STILL = 10
-#: Gray values by which the median pixel must change: else the scope has not moved, and nothing can be told.
-_MOVED = 40
+#: Gray values within which a pixel's extremes lie where it never changes; JPEG alone moves a pixel by a few. What
+#: changes by more than that and less than `_CHANGED` may be either.
+_STILL, _CHANGED = 10, 30
+#: Such doubtful pixels are at most this many for one that never changes: else the scope has not moved enough. What is
+#: burnt in parts pixels into two kinds (``python -m benchmarks.still_pixels``: doubtful for still ones, clean flights
+#: of a slow scope against overlaid ones).
+_DOUBTFUL = 0.5
 #: Darker than this at all times is black; black that does not reach the border may be a deep calyx.
 _BLACK = 16
 #: Share of the lens's own mask that must be found covered to be worth a mask; edges of a mask are uncertain by this
@@ -41,14 +44,22 @@ class StillPixels:
         self._low, self._high = np.minimum(self._low, gray), np.maximum(self._high, gray)
         self.count += 1
 
+    def counts(self) -> tuple[int, int]:
+        """Pixels inside that never changed, and those that changed too little to tell."""
+        here = self._change()[self._inside]
+        return int(np.sum(here <= _STILL)), int(np.sum((here > _STILL) & (here < _CHANGED)))
+
+    def _change(self) -> NDArray[np.int16]:
+        return self._high.astype(np.int16) - self._low
+
     def scene(self) -> NDArray[np.bool_] | None:
         """Where the scene is seen (H, W); None as long as that cannot be told, or where it is the lens's own mask."""
         if self.count < ENOUGH or not self._inside.any():
             return None
-        change = self._high.astype(np.int16) - self._low
-        if float(np.median(change[self._inside])) < _MOVED:
+        still_count, doubtful = self.counts()
+        if doubtful > _DOUBTFUL * still_count or np.median(self._change()[self._inside]) < _CHANGED:
             return None
-        still = (change <= _STILL).astype(np.uint8)
+        still = (self._change() <= _STILL).astype(np.uint8)
         black = ((self._high < _BLACK) & (still > 0)).astype(np.uint8)
         covered = (still > 0) & ~(black > 0) | _at_border(black, self._inside)
         size = max(3, round(_RIM * min(covered.shape)) | 1)

@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """A picture on the way there: when, the EM reading, the answer, and whether its relief was kept."""
+    """A picture on the way there: when, the EM reading, the answer, and how many planes of it were kept."""
 
     moment: Moment
     reading: SensorReading | None
     answer: Tracked
-    kept: bool
+    planes: int
 
 
 def follow_both_ways(
@@ -47,7 +47,7 @@ def follow_both_ways(
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture of a file, without its image, and the answer to it once all have been seen.
 
-    Reliefs are kept in a temporary file, about 60 kB a picture. An interruption (Ctrl-C) gives the answers that live
+    Reliefs are kept in a temporary file, 60 or 120 kB a picture. An interruption (Ctrl-C) gives the answers that live
     tracking gave so far, and then goes on upwards.
 
     Args:
@@ -67,10 +67,10 @@ def follow_both_ways(
             for moment, features, spent in extracted(tracker, source):
                 start, reading = time.perf_counter() - spent, sensor(moment) if sensor else None
                 answer = tracker.follow(features, moment.t_s, reading, start)
-                if features is not None:
-                    spool.write(features.fields[0].numpy().tobytes())
+                planes = torch.zeros(0) if features is None else tracker.planes(features)
+                spool.write(planes.numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
-                there.append(_Followed(light, reading, answer, features is not None))
+                there.append(_Followed(light, reading, answer, len(planes)))
                 advance(1)
             back = []
             for step, features in zip(reversed(there), _recalled(tracker, there, spool), strict=True):
@@ -140,16 +140,16 @@ def _smoothed(
 def _recalled(tracker: Tracker, there: Sequence[_Followed], spool: IO[bytes]) -> Iterator[Features | None]:
     """The pictures' features again, from the last to the first."""
     camera = tracker.working_camera
-    size = 4 * camera.height * camera.width
     end = spool.tell()
     for step in reversed(there):
-        if not step.kept:
+        if not step.planes:
             yield None
             continue
+        size = 4 * step.planes * camera.height * camera.width
         end -= size
         spool.seek(end)
-        relief = np.frombuffer(spool.read(size), np.float32).reshape(camera.height, camera.width)
-        yield tracker.recall(torch.from_numpy(relief.copy()))
+        planes = np.frombuffer(spool.read(size), np.float32).reshape(step.planes, camera.height, camera.width)
+        yield tracker.recall(torch.from_numpy(planes.copy()))
 
 
 def _chosen(

@@ -24,12 +24,11 @@ class ScopePattern:
     """The fixed pattern of one scope, learned while a track goes on.
 
     Args:
-        extractor: of the pictures.
         unit_mm: length of 1 mm of anatomy: the kidney's scale.
     """
 
-    def __init__(self, extractor: DefaultExtractor, unit_mm: float = 1.0) -> None:
-        self._extractor, self._far = extractor, _MOVED_MM * unit_mm
+    def __init__(self, unit_mm: float = 1.0) -> None:
+        self._far = _MOVED_MM * unit_mm
         self._sum: Tensor | None = None
         self._count = 0.0
         self._last: Array | None = None
@@ -38,10 +37,10 @@ class ScopePattern:
         """The pattern (h, w) in units of relief, at the extractor's working size; None before the first picture."""
         return None if self._sum is None else self._sum / (self._count + _AGAINST)
 
-    def removed(self, features: Features) -> Features:
-        """Features without the pattern."""
+    def removed(self, features: Features, extractor: DefaultExtractor) -> Features:
+        """Features without the pattern, as the extractor makes them of a relief."""
         pattern = self.value()
-        return features if pattern is None else self._extractor.with_relief(features, features.fields[0] - pattern)
+        return features if pattern is None else extractor.with_relief(features, features.fields[0] - pattern)
 
     def tells(self, T_kidney_camera: Array, score: float) -> bool:
         """Whether a picture aligned at a pose (4, 4) with this score teaches something."""
@@ -51,11 +50,15 @@ class ScopePattern:
         return bool(moved > self._far or rotation_angle(T_kidney_camera, self._last) > np.radians(_TURNED_DEG))
 
     def learn(self, features: Features, drawn: NDArray[np.float32], T_kidney_camera: Array) -> None:
-        """Take in a picture's own features, nothing removed, and the relief (H, W) drawn at its pose (4, 4)."""
+        """Take in a picture's own features, nothing removed, and the relief (H, W) drawn at its pose (4, 4).
+
+        Where something lies before the wall the picture differs from the drawing for that reason, and teaches nothing.
+        """
         relief = features.fields[0]
         larger = torch.nn.functional.interpolate(
             torch.from_numpy(drawn)[None, None], relief.shape, mode="bilinear", align_corners=False
         )[0, 0]
         beyond = relief - torch.where(relief == 0, 0.0, larger)
+        beyond = beyond * features.valid if features.valid.numel() else beyond
         self._sum = beyond if self._sum is None else _KEPT * self._sum + beyond
         self._count, self._last = _KEPT * self._count + 1, T_kidney_camera

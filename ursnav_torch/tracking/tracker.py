@@ -16,7 +16,15 @@ from torch import Tensor
 from ursnav_torch.alignment import RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import NO_EDGES, NO_MAPS, DefaultExtractor, DefaultSettings, Features, StillPixels
+from ursnav_torch.features import (
+    NO_EDGES,
+    NO_MAPS,
+    NOTHING_BEFORE,
+    DefaultExtractor,
+    DefaultSettings,
+    Features,
+    StillPixels,
+)
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
@@ -36,7 +44,7 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
-_LOOKED_AT = (12, 24, 48, 96)  # after so many pictures it is looked for what never changes in them
+_LOOKED_AT = (96, 192, 384)  # after so many pictures it is looked for what never changes in them
 _NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
@@ -112,7 +120,7 @@ class Tracker:
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
         self._smooth = PoseFilter(s.smoothing)
-        self._extractor = DefaultExtractor(vid.settings, vid.camera)
+        self._whole = self._extractor = DefaultExtractor(vid.settings, vid.camera)
         self.working_camera = self._extractor.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
         if not views.scans:
@@ -146,7 +154,7 @@ class Tracker:
         self._seen_s, self._state = 0.0, SEARCHING
         self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
-        self._pattern = ScopePattern(self._extractor, self.vid.kidney.scale)
+        self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
         self._still = StillPixels(self.vid.camera.pixel_rays()[1])
 
@@ -179,19 +187,26 @@ class Tracker:
         return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
 
     def _look_for_the_scene(self, image: NDArray[np.uint8]) -> None:
-        """Leave out what never changes in the first pictures: a narrower mask, burnt-in text."""
+        """Leave out what never changes in the first pictures: a narrower mask, burnt-in text. The last look counts."""
         looked = self._still.count
         if looked < _LOOKED_AT[-1] and image.shape[:2] == (self.vid.camera.height, self.vid.camera.width):
             self._still.add(image)
-            scene = self._still.scene() if looked + 1 in _LOOKED_AT else None
-            if scene is not None:
-                self._extractor = self._extractor.through(scene)
+            if looked + 1 in _LOOKED_AT:
+                scene = self._still.scene()
+                self._extractor = self._whole if scene is None else self._whole.through(scene)
 
-    def recall(self, relief: Tensor) -> Features:
-        """What `follow` needs, from no more than the relief (h, w) of what `extract` gave, ``fields[0]``."""
-        kept = Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), relief[None])
+    @staticmethod
+    def planes(features: Features) -> Tensor:
+        """What `recall` needs of features: the relief (1, h, w), and what is valid (2, h, w) where not all is."""
+        relief = features.fields[:1]
+        return torch.cat([relief, features.valid[None]]) if features.valid.numel() else relief
+
+    def recall(self, planes: Tensor) -> Features:
+        """What `follow` needs, from no more than the `planes` (1 or 2, h, w) of what `extract` gave."""
+        valid = planes[1] if len(planes) > 1 else NOTHING_BEFORE
+        kept = Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), planes[:1], valid=valid)
         with torch.inference_mode(), one_thread_an_operation():
-            return self._extractor.with_relief(kept, relief)
+            return self._extractor.with_relief(kept, planes[0])
 
     def follow(
         self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
@@ -206,7 +221,7 @@ class Tracker:
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
         passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
-        as_taken, features = features, self._pattern.removed(features)
+        as_taken, features = features, self._pattern.removed(features, self._extractor)
         found, fits = self._filter.update(features, self._before, passed, sensor)
         fit = float(fits[found.weight.argmax()])
         picture = Weighed(features, found, fits, self._expected(passed, sensor), sensor)

@@ -1,0 +1,34 @@
+"""A track leaves out what never changes in its first pictures, and takes that back when it changes after all."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking import tracker as room
+from ursnav_torch.tracking.tracker import Tracker
+from ursnav_torch.vid import Vid
+
+
+def test_burnt_in_text_is_left_out_until_it_moves(
+    vid: Vid, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room, "_LOOKED_AT", (16, 24))
+    plain = replace(vid, settings=replace(vid.settings, learned=0.0))  # the network alone would take it for a stone
+    tracker, rng = Tracker(plain), np.random.default_rng(3)
+    rows = rng.choice(len(vid), 24, replace=False)
+    valid = []
+    for number, row in enumerate(rows):
+        image = (renderer.render(vid.T_kidney_camera[row]).image * rng.uniform(0.4, 1)).astype(np.uint8)
+        size = image.shape[0]
+        if number < 20:
+            cv2.rectangle(image, (size // 4, size // 6), (3 * size // 4, size // 3), 250, -1)
+        features = tracker.extract(image)
+        assert features is not None
+        valid.append(features.valid)
+    assert not any(v.numel() for v in valid[:15])
+    covered = valid[16]
+    assert float(covered[covered.shape[0] // 4, covered.shape[1] // 2]) == 0 < float(covered.mean())
+    assert not valid[-1].numel(), "what has changed by the last look was no text"
