@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import NO_EDGES, Features
+from ursnav_torch.features import NO_EDGES, Features, polar_grid, polar_maps
 from ursnav_torch.geometry import rotation_angle, transform_from
 from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.matching import Hungarian, Matching, Nearest, PairCost, Sinkhorn
@@ -199,3 +199,22 @@ def test_without_edge_points_shapes_have_no_say(vid: Vid, renderer: RaycastRende
     assert search.reads_edges and not ViewSearch(vid, VIDEO_SEARCH).reads_edges
     assert search.with_shapes(features, found).best_score > found.best_score
     assert search.with_shapes(replace(features, edges=NO_EDGES), found) is found
+
+
+def test_what_is_not_wall_does_not_count(search: ViewSearch, vid: Vid, renderer: RaycastRenderer) -> None:
+    """A third of the picture spoiled: told so, the scan finds the view and scores it as if it were whole."""
+    whole, rng = seen(vid, renderer, vid.T_kidney_camera[27]), np.random.default_rng(2)
+    height, width = whole.fields.shape[1:]
+    valid = torch.ones(height, width)
+    valid[: height // 3] = 0
+    noise = torch.from_numpy(rng.normal(0, 2, whole.fields.shape).astype(np.float32))
+    fields = torch.where(valid > 0, whole.fields, noise)
+    spoiled = replace(whole, fields=fields, maps=polar_maps(fields, polar_grid(vid.extractor().working_camera))[0])
+    told, blind = replace(spoiled, valid=valid), spoiled
+    everywhere = {name: search.everywhere(f) for name, f in (("whole", whole), ("told", told), ("blind", blind))}
+    assert int(everywhere["told"].score.argmax()) == 27
+    perfect = everywhere["whole"].score[27]
+    assert everywhere["told"].score[27] > 0.93 * perfect > 1.15 * everywhere["blind"].score[27]
+    few = np.array([5, 27, 40])
+    at_tilts = {name: search.at_tilts(f, few) for name, f in (("told", told), ("blind", blind))}
+    assert at_tilts["told"].score[1] > 0.93 * perfect > 1.1 * at_tilts["blind"].score[1]

@@ -202,7 +202,7 @@ class Tracker:
         return torch.cat([relief, features.valid[None]]) if features.valid.numel() else relief
 
     def recall(self, planes: Tensor) -> Features:
-        """What `follow` needs, from no more than the `planes` (1 or 2, h, w) of what `extract` gave."""
+        """What `follow` needs, from no more than the `planes` (P, H, W) of what `extract` gave."""
         valid = planes[1] if len(planes) > 1 else NOTHING_BEFORE
         kept = Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), planes[:1], valid=valid)
         with torch.inference_mode(), one_thread_an_operation():
