@@ -75,7 +75,7 @@ def supplied(data: Path) -> list[tuple[str, TipCalibration, Array]]:
     found = []
     for about in sorted(data.glob("*/video.json")):
         T = poses_from_rows(read_csv(about.parent / "video_truth.csv", ("image",), "truth"))
-        truth = json.loads(about.read_text())
+        truth = json.loads(about.read_text(encoding="utf-8"))
         samples = read_em_samples(about.parent / "video_em.csv")
         calibration = calibrate_tip(T, np.arange(len(T)) / truth["fps"], samples)
         found.append((about.parent.name, calibration, np.array(truth["sensor_offset_camera_mm"])))

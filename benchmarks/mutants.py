@@ -85,11 +85,14 @@ def read_plan(path: Path, root: Path) -> list[Mutant]:
     Raises:
         InputError: a fault cannot be planted as it stands, or its tests do not exist; the message names all such.
     """
-    mutants = [Mutant(**row | {"tests": tuple(row["tests"])}) for row in tomllib.loads(path.read_text())["mutant"]]
+    mutants = [
+        Mutant(**row | {"tests": tuple(row["tests"])})
+        for row in tomllib.loads(path.read_text(encoding="utf-8"))["mutant"]
+    ]
     wrong = []
     for m in mutants:
         file = root / "ursnav_torch" / m.file
-        times = file.read_text().count(m.old) if file.is_file() else 0
+        times = file.read_text(encoding="utf-8").count(m.old) if file.is_file() else 0
         if times != 1:
             where = f"stands {times} times in" if file.is_file() else "belongs to the missing file"
             wrong.append(f"{m.name}: {m.old!r} {where} {m.file}")
@@ -104,7 +107,7 @@ def read_plan(path: Path, root: Path) -> list[Mutant]:
 def plant(mutant: Mutant, root: Path) -> None:
     """Write a fault into a copy of the checkout; its time tells Python not to trust what it had compiled before."""
     file = root / "ursnav_torch" / mutant.file
-    file.write_text(file.read_text().replace(mutant.old, mutant.new))
+    file.write_text(file.read_text(encoding="utf-8").replace(mutant.old, mutant.new))
     os.utime(file, (time.time() + 1e6,) * 2)
 
 
@@ -224,7 +227,7 @@ class _Bench:
         begun, log = time.monotonic(), self.folder / "log.txt"
         vid = "" if room in _BUILD_ANEW else str(self.folder / "vid")
         code = run_tests(self.root, tests, log, vid, limited)
-        return _Tried(code, time.monotonic() - begun, log.read_text()[-4000:])
+        return _Tried(code, time.monotonic() - begun, log.read_text(encoding="utf-8")[-4000:])
 
 
 _bench: _Bench

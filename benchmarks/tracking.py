@@ -186,7 +186,7 @@ def _truth(path: Path) -> tuple[Array, list[str]]:
 
 
 def _sensor(em: Path, description: Path) -> list[SensorReading]:
-    about = json.loads(description.read_text())
+    about = json.loads(description.read_text(encoding="utf-8"))
     R, t = np.array(about["kidney_from_em"]["R"]), np.array(about["kidney_from_em"]["t"])
     offset, sigma = np.array(about["sensor_offset_camera_mm"]), float(np.hypot(about["em_rms_mm"], 0.8) / np.sqrt(3))
     with em.open() as file:

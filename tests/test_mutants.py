@@ -42,7 +42,10 @@ def test_a_fault_is_planted_in_the_copy_and_marked_as_newer(root: Path) -> None:
     file = root / "ursnav_torch" / "room" / "deciding.py"
     before = file.stat().st_mtime
     plant(mutant, root)
-    assert file.read_text().startswith("def f(a, b):\n    return b\n") and file.stat().st_mtime > before + 1e5
+    assert (
+        file.read_text(encoding="utf-8").startswith("def f(a, b):\n    return b\n")
+        and file.stat().st_mtime > before + 1e5
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,7 +69,10 @@ def test_all_that_is_wrong_is_named_at_once(root: Path) -> None:
 
 
 def test_the_plan_covers_the_rooms_that_decide() -> None:
-    plan = [Mutant(**row | {"tests": tuple(row["tests"])}) for row in tomllib.loads(PLAN.read_text())["mutant"]]
+    plan = [
+        Mutant(**row | {"tests": tuple(row["tests"])})
+        for row in tomllib.loads(PLAN.read_text(encoding="utf-8"))["mutant"]
+    ]
     rooms = {"matching", "search", "alignment", "localization", "tracking", "exploration", "navigation", "devices"}
     assert len(plan) >= 40 and rooms <= {m.room for m in plan}
     assert all(m.old != m.new and m.tests for m in plan)

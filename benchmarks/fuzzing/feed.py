@@ -170,7 +170,7 @@ def peak_mb() -> float:
 
     ``ru_maxrss`` would not do: a program inherits it from whoever started it, so a large parent is counted as well.
     """
-    mark = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
+    mark = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"))
     if mark is None:
         raise OSError("/proc/self/status has no VmHWM: memory cannot be told here; fuzz on Linux")
     return int(mark[1]) / 1024

@@ -203,7 +203,7 @@ def _validate_row(row: dict[str, Any]) -> None:
 def resident_mb() -> float:
     """Memory of this process now, in MB; 0 where the system does not tell."""
     try:
-        lines = Path("/proc/self/status").read_text().splitlines()
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     except OSError:
         return 0.0
     return next((int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmRSS:")), 0.0)
@@ -242,7 +242,7 @@ def _parse(text: str, default: Any) -> Any:
 def processor() -> str:
     """The processor's name."""
     info = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else []
+    names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
     return names[0].strip() if names else platform.processor() or platform.machine()
 
 

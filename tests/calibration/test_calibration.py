@@ -201,7 +201,7 @@ def test_runner_writes_a_camera_that_loads_and_a_picture(
     assert first.returncode == 0, first.stderr
     assert "px" in first.stdout and "of 14 pictures" in first.stdout
     assert load_camera(tmp_path / "lens.json").same_lens(load_camera(tmp_path / "lens.json"))
-    assert json.loads((tmp_path / "lens.json").read_text())["rms_px"] < 0.25
+    assert json.loads((tmp_path / "lens.json").read_text(encoding="utf-8"))["rms_px"] < 0.25
     assert cv2.imread(str(tmp_path / "lens.png")) is not None
     mask = load_camera(tmp_path / "lens.json").mask_image()
     assert mask is not None and np.mean(mask != LENS.pixel_rays()[1]) < 0.02

@@ -27,7 +27,7 @@ def test_calyces_come_back_in_the_kidney_frame_whichever_it_is(frame: str, phant
 def test_convention_the_file_says_lps_and_holds_lps(tmp_path: Path) -> None:
     """From RAS to LPS a point is turned half around about z."""
     write_markups(tmp_path / "p.mrk.json", [point_markup(["a"], np.array([[1.0, 2.0, 3.0]]), lps_from_kidney("ras"))])
-    data = json.loads((tmp_path / "p.mrk.json").read_text())
+    data = json.loads((tmp_path / "p.mrk.json").read_text(encoding="utf-8"))
     (markup,) = data["markups"]
     assert "markups-schema-v1" in data["@schema"]
     assert (markup["type"], markup["coordinateSystem"], markup["coordinateUnits"]) == ("Fiducial", "LPS", "mm")

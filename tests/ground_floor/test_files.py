@@ -34,12 +34,12 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     path.write_text("old")
     with pytest.raises(RuntimeError), whole_file(path) as partial:
         partial.write_text("half")
-        assert path.read_text() == "old" and partial == tmp_path / "result.csv.partial"
+        assert path.read_text(encoding="utf-8") == "old" and partial == tmp_path / "result.csv.partial"
         raise RuntimeError
-    assert path.read_text() == "old" and not partial.exists()
+    assert path.read_text(encoding="utf-8") == "old" and not partial.exists()
     with whole_file(path) as partial:
         partial.write_text("new")
-    assert path.read_text() == "new" and not partial.exists()
+    assert path.read_text(encoding="utf-8") == "new" and not partial.exists()
 
 
 def test_a_file_never_replaces_a_folder(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_cells_are_blank_true_or_plain_decimals(tmp_path: Path) -> None:
 def test_numpy_values_are_written_like_pythons(tmp_path: Path) -> None:
     np = pytest.importorskip("numpy")
     write_csv(tmp_path / "x.csv", ["a", "b", "c"], [{"a": np.float64(0.1), "b": np.bool_(True), "c": np.float32(0.1)}])
-    assert (tmp_path / "x.csv").read_text() == "a,b,c\n0.1,true,0.1\n"
+    assert (tmp_path / "x.csv").read_text(encoding="utf-8") == "a,b,c\n0.1,true,0.1\n"
 
 
 def test_json_refuses_what_json_does_not_know(tmp_path: Path) -> None:

@@ -93,4 +93,4 @@ def test_a_file_system_without_locks_is_still_written_to(tmp_path: Path, monkeyp
     monkeypatch.setattr("fcntl.flock", none)
     with whole_file(tmp_path / "out") as partial:
         partial.write_text("x")
-    assert (tmp_path / "out").read_text() == "x"
+    assert (tmp_path / "out").read_text(encoding="utf-8") == "x"

@@ -165,9 +165,9 @@ def test_a_folder_of_something_else_is_said(lib: ModuleType, tmp_path: Path) -> 
 
 
 def test_every_file_is_python_that_slicer_understands_and_is_installed() -> None:
-    cmake = (MODULE / "CMakeLists.txt").read_text()
+    cmake = (MODULE / "CMakeLists.txt").read_text(encoding="utf-8")
     for path in MODULE.rglob("*.py"):
-        ast.parse(path.read_text(), feature_version=(3, 9))
+        ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 9))
         name = path.relative_to(MODULE).as_posix().replace("UrsnavLive", "${MODULE_NAME}")
         assert name in cmake, f"{name} is not in CMakeLists.txt"
     assert (MODULE / "Resources/Icons/UrsnavLive.png").read_bytes()[:4] == b"\x89PNG"

@@ -72,7 +72,7 @@ def test_a_centerline_of_another_kidney_or_out_of_order_is_refused(tmp_path: Pat
     write_centerline(tmp_path / "t.csv", phantom.centerline, names)
     with pytest.raises(InputError, match=r"leads to calyces \['A'\]"):
         read_centerline(tmp_path / "t.csv", names[1:])
-    lines = (tmp_path / "t.csv").read_text().splitlines()
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
     (tmp_path / "t.csv").write_text("\n".join([lines[0], *lines[:1:-1]]))
     with pytest.raises(InputError, match="not a tree"):
         read_centerline(tmp_path / "t.csv", names)

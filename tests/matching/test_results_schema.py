@@ -17,7 +17,7 @@ def content() -> dict:
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
 def test_committed_results_follow_the_schema(path: Path) -> None:
-    validate(json.loads(path.read_text()))
+    validate(json.loads(path.read_text(encoding="utf-8")))
 
 
 def test_a_report_follows_the_schema_and_holds_median_and_quartiles(tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_a_report_follows_the_schema_and_holds_median_and_quartiles(tmp_path: Pa
     report = Report("suite", {})
     report.add("group", "row", "%", [50.0], n=60)
     written = report.write(tmp_path / "a" / "b.json")
-    validate(json.loads(written.read_text()))
+    validate(json.loads(written.read_text(encoding="utf-8")))
     assert "| row | 50 % | 50 to 50 | 60 |  |" in report.table()
 
 

@@ -150,7 +150,7 @@ def test_what_was_collected_is_what_build_vid_reads(vid, renderer, phantom_lumen
     assert len(views.plan(kept.kidney, phantom_lumen).calyx) == 2
     calyces, pelvis = read_calyces(tmp_path / "my views" / "calyces.csv")
     assert calyces[0].name == "oberer Kelch, ä" and pelvis is not None
-    assert (tmp_path / "my views" / "landmarks.csv").read_text().count("\n") == 2
+    assert (tmp_path / "my views" / "landmarks.csv").read_text(encoding="utf-8").count("\n") == 2
     with pytest.raises(InputError, match="exists already"):
         kept.save(tmp_path / "my views", renderer, phantom_lumen, False)
 

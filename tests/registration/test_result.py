@@ -59,7 +59,7 @@ def test_skew_is_the_cross_product() -> None:
 def test_json_holds_the_contract_and_comes_back(tmp_path: Path) -> None:
     found, em, _ = noisy()
     found.to_json(tmp_path / "r.json")
-    data = json.loads((tmp_path / "r.json").read_text())
+    data = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert {"R", "t_mm", "scale", "n", "fre_rmse_mm", "fre_mm", "tre_loo_rmse_mm", "from", "to"} <= data.keys()
     assert (data["from"], data["to"], data["n"], len(data["fre_mm"])) == ("em", "kidney", 8, 8)
     again = Registration.from_json(tmp_path / "r.json")
@@ -71,7 +71,7 @@ def test_json_holds_the_contract_and_comes_back(tmp_path: Path) -> None:
 def test_unknown_leave_one_out_is_null(tmp_path: Path) -> None:
     em = np.random.default_rng(0).normal(0, 20, (3, 3))
     register_landmarks(em, em + 1).to_json(tmp_path / "r.json")
-    data = json.loads((tmp_path / "r.json").read_text())
+    data = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert data["tre_loo_rmse_mm"] is None and data["tre_loo_mm"] == [None, None, None]
     assert Registration.from_json(tmp_path / "r.json").tre_loo_rmse_mm is None
 

@@ -75,7 +75,7 @@ def test_an_interrupted_build_goes_on_to_the_same_bytes(
     while not shard.exists():
         assert build.poll() is None, build.communicate()[1]
         time.sleep(0.01)
-    children = Path(f"/proc/{build.pid}/task/{build.pid}/children").read_text().split()
+    children = Path(f"/proc/{build.pid}/task/{build.pid}/children").read_text(encoding="utf-8").split()
     build.send_signal(number)
     err = build.communicate(timeout=120)[1]
     assert not out.exists() and (tmp_path / "vid.partial").exists()
@@ -94,7 +94,7 @@ def test_an_interrupted_build_goes_on_to_the_same_bytes(
 
 def alive(pid: str) -> bool:
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 

@@ -46,7 +46,7 @@ def test_the_whole_protocol(run: Run, tmp_path: Path) -> None:
 
     registered = run("register", f"landmarks={out / 'landmarks.csv'}", "out=again.json")
     assert registered.code == 0
-    again, ours = (json.loads(p.read_text()) for p in (Path("again.json"), out / "em_to_kidney.json"))
+    again, ours = (json.loads(p.read_text(encoding="utf-8")) for p in (Path("again.json"), out / "em_to_kidney.json"))
     np.testing.assert_allclose(again["R"], ours["R"], atol=1e-4)
     phantom = out / "phantom"
     judged = run(
@@ -55,7 +55,7 @@ def test_the_whole_protocol(run: Run, tmp_path: Path) -> None:
         f"reference_pairs={out / 'reference_pairs.csv'}", "sensor_offset_mm=[0,1.2,-4]", "match_mm=2.7", "out=v.json",
     )  # fmt: skip
     assert judged.code == 0, judged.err
-    confusion = json.loads(Path("v.json").read_text())["confusion"]["position_and_direction"]
+    confusion = json.loads(Path("v.json").read_text(encoding="utf-8"))["confusion"]["position_and_direction"]
     assert {k: confusion[k] for k in ("TP", "FN", "FP", "TN")} == result["confusion"]["position_and_direction"]
 
     refused = run("experiment", *SMALL, f"out={out}")

@@ -56,7 +56,7 @@ def test_slicer_gets_all_there_is(run: Any, vid: Vid, track: Path, tmp_path: Pat
         "calyces.mrk.json", "em_to_kidney.tfm", "kidney.stl", "landmarks.mrk.json", "path.mrk.json"
     ]  # fmt: skip
     module = Path(__file__).parents[2] / "integrations/slicer/UrsnavLive/UrsnavLiveLib/exported.py"
-    loads = re.findall(r'^    "(\S+)": "', module.read_text(), re.M)
+    loads = re.findall(r'^    "(\S+)": "', module.read_text(encoding="utf-8"), re.M)
     assert {p.name for p in out.iterdir()} <= set(loads), "the module for Slicer loads every file"
     assert b"SPACE=RAS" in (out / "kidney.stl").read_bytes()[:80]
     (curve,) = curves_of(read_markups(out / "path.mrk.json"))
@@ -97,7 +97,7 @@ def test_the_segmentations_own_voxels_and_frame_are_taken(run: Any, vid: Vid, se
 
 def test_tum_is_what_track_itself_would_write(run: Any, track: Path, tmp_path: Path) -> None:
     assert run("export", "to=tum", f"track={track}", "out=t.tum").code == 0
-    lines = (tmp_path / "caller's folder" / "t.tum").read_text().splitlines()
+    lines = (tmp_path / "caller's folder" / "t.tum").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 10 and len(lines[0].split()) == 8
 
 
@@ -122,7 +122,7 @@ def test_what_is_missing_or_idle_is_said(run: Any, vid: Vid, overrides: tuple[st
 def test_an_older_tracks_coverage_is_refused(run: Any, vid: Vid, track: Path, series: Path) -> None:
     pytest.importorskip("highdicom")
     path = track.with_suffix(".coverage.json")
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text(encoding="utf-8"))
     given = ("to=dicom", f"vid={vid.folder}", "frame=lps", f"scan={series}", f"track={track}", "out=d")
     write_json(path, data | {"patches": data["patches"] + 1})
     assert "another kidney" in run("export", *given).err

@@ -168,7 +168,11 @@ def test_results_are_not_replaced_unasked(run: Any, vid: Vid, images: Path, tmp_
     ):  # fmt: skip
         done = run(*given, *overrides)
         assert done.code == 1 and says in done.err and done.err.count("\n") == 1
-        assert (work / "mine.csv").read_text() == (work / "page" / "index.html").read_text() == "mine"
+        assert (
+            (work / "mine.csv").read_text(encoding="utf-8")
+            == (work / "page" / "index.html").read_text(encoding="utf-8")
+            == "mine"
+        )
     assert sorted(p.name for p in work.iterdir()) == ["empty", "mine.csv", "page"]
     assert run(*given, "out=mine.csv", "report=empty", "overwrite=true").code == 0
     assert len(read(work / "mine.csv")) == 1 and (work / "empty" / "index.html").exists()

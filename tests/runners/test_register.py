@@ -36,7 +36,7 @@ def test_landmarks_become_the_json_of_the_contract(run: Callable[..., Any], land
     out = tmp_path / "em to kidney.json"
     done = run("register", f"landmarks={landmarks}", f"out={out}", "model_scale=1.8")
     assert done.code == 0, done.err
-    data = json.loads(out.read_text())
+    data = json.loads(out.read_text(encoding="utf-8"))
     np.testing.assert_allclose(data["R"], TURN, atol=1e-9)
     np.testing.assert_allclose(data["t_mm"], [1, 2, 3], atol=1e-9)
     assert (data["n"], data["scale"], data["model_scale"], data["from"], data["to"]) == (8, 1.0, 1.8, "em", "kidney")
@@ -49,9 +49,9 @@ def test_an_existing_result_is_kept_unless_told(run: Callable[..., Any], landmar
     out = tmp_path / "r.json"
     out.write_text("mine")
     refused = run("register", f"landmarks={landmarks}", f"out={out}")
-    assert refused.code == 1 and "overwrite=true" in refused.err and out.read_text() == "mine"
+    assert refused.code == 1 and "overwrite=true" in refused.err and out.read_text(encoding="utf-8") == "mine"
     assert run("register", f"landmarks={landmarks}", f"out={out}", "overwrite=true").code == 0
-    assert json.loads(out.read_text())["n"] == 8
+    assert json.loads(out.read_text(encoding="utf-8"))["n"] == 8
 
 
 def test_a_wrong_pair_is_left_out_or_named(run: Callable[..., Any], landmarks: Path, tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_wrong_pair_is_left_out_or_named(run: Callable[..., Any], landmarks: P
         warnings.simplefilter("always")
         assert run("register", f"landmarks={wrong}", f"out={tmp_path / 'b.json'}").code == 0
     assert any("Pair 5 looks wrong" in str(w.message) for w in said)
-    assert "Pair 5 looks wrong" in json.loads((tmp_path / "b.json").read_text())["suspicions"][0]
+    assert "Pair 5 looks wrong" in json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))["suspicions"][0]
 
 
 def test_a_touch_reaches_ahead_of_the_sensor(run: Callable[..., Any], landmarks: Path, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_touch_reaches_ahead_of_the_sensor(run: Callable[..., Any], landmarks:
     held = write_table(tmp_path / "held.csv", f"{HEADER},em_dx,em_dy,em_dz", np.c_[rows, axis])
     out = tmp_path / "r.json"
     assert run("register", f"landmarks={held}", f"out={out}", "registration.reach_mm=4.5").code == 0
-    assert json.loads(out.read_text())["fre_rmse_mm"] < 1e-9
+    assert json.loads(out.read_text(encoding="utf-8"))["fre_rmse_mm"] < 1e-9
     missing = run("register", f"landmarks={landmarks}", f"out={tmp_path / 'x.json'}", "registration.reach_mm=4.5")
     assert missing.code == 1 and "em_dx,em_dy,em_dz" in missing.err
 

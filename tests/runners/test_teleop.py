@@ -89,7 +89,7 @@ def test_a_simulated_flight_is_recorded_and_replayed_the_same(run, tmp_path):
     done = run("teleop", "session=record", f"out={out}", *hands, *FAST)
     assert done.code == 0, done.err
     assert "none lost" in done.out and "1 snapshots" in done.out
-    about = json.loads((out / "session.json").read_text())
+    about = json.loads((out / "session.json").read_text(encoding="utf-8"))
     assert about["config"]["hardware"]["twin"]["em"]["noise_mm"] == 0.7 and "ursnav-torch" in about["versions"]
     events = list(Replay(out, speed=0))
     (snapshot,) = (e for e in events if isinstance(e, Snapshot))

@@ -82,7 +82,7 @@ def test_a_folder_gives_rows_coverage_and_a_picture(run: Run, vid: Vid, folder: 
     assert {row["state"] for row in rows} <= {"tracking", "searching", "lost"}
     for row in rows:
         assert bool(row["x_mm"]) == (row["state"] == "tracking")
-    report = json.loads((out.parent / "track.coverage.json").read_text())
+    report = json.loads((out.parent / "track.coverage.json").read_text(encoding="utf-8"))
     assert set(report["calyces"]) == {c.name for c in vid.kidney.calyces}
     assert report["pictures"] and report["next"]["calyx"] in report["calyces"]
     assert cv2.imread(str(out.parent / "track.coverage.png")) is not None
@@ -101,11 +101,11 @@ def test_a_recording_is_tracked_with_hindsight_scored_and_exported(
     assert done.code == 0, done.err
     assert "8 pictures: 8 tracking" in done.out and "position_mm" in done.out
     assert {row["state"] for row in read(tmp_path / "a.csv")} == {"tracking"}
-    score = json.loads((tmp_path / "a.score.json").read_text())
+    score = json.loads((tmp_path / "a.score.json").read_text(encoding="utf-8"))
     assert score["pictures"] == 8 and score["not_tracking"] == 0 and score["position_mm"] < 1.0
     assert score["right_calyx"] is None and score["within_5_mm"] == 1.0
-    assert len((tmp_path / "a.tum").read_text().splitlines()) == 8
-    truth.write_text("".join(truth.read_text().splitlines(keepends=True)[:5]))
+    assert len((tmp_path / "a.tum").read_text(encoding="utf-8").splitlines()) == 8
+    truth.write_text("".join(truth.read_text(encoding="utf-8").splitlines(keepends=True)[:5]))
     short = run("track", *arguments, f"out={tmp_path / 'b.csv'}", f"truth={truth}")
     assert short.code == 1 and "the truth has 4 rows" in short.err
     missing = run("track", *arguments, f"out={tmp_path / 'c.csv'}", "truth=nowhere.csv")

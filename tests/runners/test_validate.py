@@ -72,7 +72,7 @@ def test_direction_exposes_the_match_from_the_same_place(run: Callable[..., Any]
     overrides = [*case.overrides(out), f"truth={case.truth}", "sensor_offset_mm=[0,1.2,-4]"]
     done = run("validate", *overrides, "match_mm=4")
     assert done.code == 3, done.err  # one row carries an error
-    data = json.loads(out.read_text())
+    data = json.loads(out.read_text(encoding="utf-8"))
     assert [row["verdict"] for row in data["images"]] == ["right", "right", "wrong", "wrong", None]
     assert [row["verdict_by_position"] for row in data["images"]] == ["right", "right", "right", "wrong", None]
     assert "black" in data["images"][4]["error"]
@@ -93,7 +93,7 @@ def test_reference_pairs_give_the_thesis_threshold(run: Callable[..., Any], case
     out = tmp_path / "v.json"
     done = run("validate", *case.overrides(out), f"reference_pairs={pairs}", "em_mm=0.7", "model_scale=1.8")
     assert done.code == 3, done.err
-    data = json.loads(out.read_text())
+    data = json.loads(out.read_text(encoding="utf-8"))
     e_cam = np.array(data["e_cam_mm"])
     np.testing.assert_allclose(e_cam, 12, atol=1.5)
     assert data["threshold_mm"] == pytest.approx(e_cam.mean() + e_cam.std(ddof=1) + 0.7)
@@ -118,7 +118,7 @@ def test_inputs_are_checked(run: Callable[..., Any], case: Case, tmp_path: Path,
 
 
 def test_readings_of_other_images_are_refused(run: Callable[..., Any], case: Case, tmp_path: Path) -> None:
-    text = case.em.read_text().splitlines()
+    text = case.em.read_text(encoding="utf-8").splitlines()
     case.em.write_text("\n".join([text[0], *(f"other{line}" for line in text[1:])]), encoding="utf-8")
     done = run("validate", *case.overrides(tmp_path / "v.json"))
     assert done.code == 1 and "0 of 5 pictures have an EM reading" in done.err

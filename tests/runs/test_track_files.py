@@ -56,7 +56,9 @@ def test_only_known_poses_are_exported_in_meters(track: Path, tmp_path: Path) ->
         assert besides.write(whole) == ""
         whole.outcome = True
     assert not list(tmp_path.glob("*.score.json"))
-    lines = [[float(v) for v in line.split()] for line in (tmp_path / "again.tum").read_text().splitlines()]
+    lines = [
+        [float(v) for v in line.split()] for line in (tmp_path / "again.tum").read_text(encoding="utf-8").splitlines()
+    ]
     np.testing.assert_allclose(lines, [[0.1, 0.001, 0, 0, 0, 0, 0, 1], [0.3, 0.01, 0, 0, 0, 0, 0, 1]])
 
 

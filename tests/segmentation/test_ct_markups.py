@@ -64,7 +64,7 @@ def test_curves_are_told_from_points(tmp_path: Path) -> None:
 
 def test_points_that_were_not_placed_are_left_out(tmp_path: Path) -> None:
     path = written(tmp_path / "p.mrk.json", POINTS)
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text(encoding="utf-8"))
     data["markups"][0]["controlPoints"][1]["positionStatus"] = "undefined"
     path.write_text(json.dumps(data))
     assert points_of(read_markups(path))[0] == ("upper", "Pelvis")
@@ -91,7 +91,7 @@ def test_what_is_no_markup_is_refused(tmp_path: Path, text: str, match: str) -> 
 @pytest.mark.parametrize("name", ["", "lower"])
 def test_names_must_be_there_and_differ(tmp_path: Path, name: str) -> None:
     path = written(tmp_path / "p.mrk.json", POINTS)
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text(encoding="utf-8"))
     data["markups"][0]["controlPoints"][0]["label"] = name
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=r"is (used twice|empty); name each calyx once"):

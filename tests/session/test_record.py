@@ -94,7 +94,7 @@ def test_a_record_of_a_replay_is_the_same_record(events, record, tmp_path):
 
 
 def test_snapshots_lie_ready_for_validation(record):
-    head, row = (record / "snapshots" / "em.csv").read_text().splitlines()
+    head, row = (record / "snapshots" / "em.csv").read_text(encoding="utf-8").splitlines()
     assert head == "image,t_s,x_mm,y_mm,z_mm,dx,dy,dz"
     name, _, *values = row.split(",")
     assert [float(v) for v in values] == pytest.approx([0.5, 1 / 3, -300, 0, 0.6, 0.8], abs=1e-5)

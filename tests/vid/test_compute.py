@@ -62,10 +62,10 @@ def address(start: Start, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("scheduler") / "scheduler.json"
     start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(path))
     until = time.monotonic() + 60
-    while not path.exists() or not path.read_text():
+    while not path.exists() or not path.read_text(encoding="utf-8"):
         assert time.monotonic() < until, "no scheduler"
         time.sleep(0.1)
-    return str(json.loads(path.read_text())["address"])
+    return str(json.loads(path.read_text(encoding="utf-8"))["address"])
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def folder(vid: Vid, tmp_path: Path) -> Path:
 
 def _seal(folder: Path) -> None:
     """Recompute every checksum, as somebody would who wants to be believed."""
-    description = json.loads((folder / "vid.json").read_text())
+    description = json.loads((folder / "vid.json").read_text(encoding="utf-8"))
     write_description(folder, {k: v for k, v in description.items() if k not in ("sha256", "checksum")})
 
 
@@ -70,7 +70,7 @@ def test_features_that_do_not_fit_the_views_are_refused_even_under_a_right_check
 
 def test_views_of_a_calyx_that_the_kidney_lacks_are_refused(folder: Path) -> None:
     path = folder / "views.csv"
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     cells = lines[1].split(",")
     path.write_text("\n".join([lines[0], ",".join([cells[0], "elsewhere", *cells[2:]]), *lines[2:]]) + "\n")
     _seal(folder)
@@ -80,7 +80,7 @@ def test_views_of_a_calyx_that_the_kidney_lacks_are_refused(folder: Path) -> Non
 
 @pytest.mark.parametrize("about", [None, [], {"scale": None, "source": "x"}, {"scale": "a"}])
 def test_a_description_without_its_kidney_is_refused(folder: Path, about: object) -> None:
-    description = json.loads((folder / "vid.json").read_text())
+    description = json.loads((folder / "vid.json").read_text(encoding="utf-8"))
     description = {k: v for k, v in description.items() if k not in ("sha256", "checksum")}
     write_description(folder, description | {"kidney": about})
     with pytest.raises(InputError, match="does not describe its kidney"):

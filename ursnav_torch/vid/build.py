@@ -85,7 +85,7 @@ def build_vid(
 def _prepare(work: Path, fingerprint: str) -> None:
     """Make the work folder; keep what an interrupted build of the very same VID left there."""
     mark = work / "fingerprint.json"
-    if not (mark.exists() and mark.read_text() == fingerprint):
+    if not (mark.exists() and mark.read_text(encoding="utf-8") == fingerprint):
         shutil.rmtree(work, ignore_errors=True)
     for folder in (work / "images", work / "shards"):
         folder.mkdir(parents=True, exist_ok=True)

@@ -154,7 +154,7 @@ def _with_one_thread(work: Callable[..., Result], shared: Any, task: tuple[Any, 
 
 def _look(mark: Path) -> tuple[str | None, str]:
     try:
-        return mark.read_text(), package_version()
+        return mark.read_text(encoding="utf-8"), package_version()
     except OSError:
         return None, package_version()
 
