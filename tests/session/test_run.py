@@ -19,6 +19,7 @@ from ursnav_torch.devices import (
     OperatorInput,
     Output,
     RobotLight,
+    RobotSample,
     SourceAtEndError,
     TrackerSample,
 )
@@ -124,9 +125,10 @@ def resident_mb():
 
 @pytest.mark.slow
 def test_20_seconds_recorded_lose_nothing_and_replay_to_the_same_rows(tmp_path):
-    memory = []
+    memory, last = [], {}
 
     def watch(event):
+        last[type(event).__name__] = event.stamp.sequence
         if isinstance(event, Frame) and event.stamp.sequence % 15 == 0:
             memory.append(resident_mb())
 
@@ -136,10 +138,10 @@ def test_20_seconds_recorded_lose_nothing_and_replay_to_the_same_rows(tmp_path):
     counts = summary.counts
     print(counts, f"memory {memory[3]:.0f} to {memory[-1]:.0f} MB, longest cycle {1000 * live.longest_cycle_s:.0f} ms")
     assert (summary.lost, summary.dropped) == ({}, 0)
-    assert counts["Frame"] == pytest.approx(300, abs=6)
-    assert counts["TrackerSample"] == pytest.approx(800, abs=16)
-    assert counts["CommandSample"] == pytest.approx(1000, abs=20)
-    assert counts["Snapshot"] == 10
+    # A busy machine may give less in 20 seconds, never more; what was given is numbered and all there.
+    for kind, rate_hz in (("Frame", 15), ("TrackerSample", 40), ("CommandSample", 50)):
+        assert 0 < counts[kind] <= 20 * rate_hz * 1.02 and counts[kind] == last[kind] + 1, kind
+    assert counts["Snapshot"] == (counts["OperatorInput"] + 50) // 100
     assert memory[-1] - memory[3] < 10
     replay = Replay(tmp_path / "run", speed=0)
     with Recorder(tmp_path / "again") as recorder:
@@ -154,17 +156,18 @@ def test_quitting_ends_the_session_and_disarms(tmp_path):
     with make_rig(pilot) as rig:
         summary = run_session(Live(rig))
         assert rig.robot.gate.state == "disarmed" and rig.robot.gate.reason == "disarmed"
-    assert 1.0 < summary.seconds < 2.5 and summary.counts["Snapshot"] == 1
+    # 60 cycles of a fiftieth of a second, of which at most 0.1 s are made up for at once; then it is over.
+    assert summary.seconds > 1.0 and summary.counts["Snapshot"] == 1
+    assert 60 <= summary.counts["OperatorInput"] < 100
 
 
 def test_a_snapshot_holds_what_belongs_together():
     found = []
     with make_rig() as rig:
         run_session(Live(rig, duration_s=1.5), None, [found.append])
-    (snapshot,) = (e for e in found if isinstance(e, Snapshot))
-    t = snapshot.stamp.t_mono_s
-    for sample, age in ((snapshot.frame, 0.15), (snapshot.tracker, 0.1), (snapshot.robot, 0.2)):
-        assert 0 <= t - sample.stamp.t_mono_s < age
+    (at,) = (i for i, e in enumerate(found) if isinstance(e, Snapshot))
+    for kind, sample in ((Frame, found[at].frame), (TrackerSample, found[at].tracker), (RobotSample, found[at].robot)):
+        assert sample is [e for e in found[:at] if isinstance(e, kind)][-1]
 
 
 def test_replay_keeps_the_sessions_pace_or_another(tmp_path):
