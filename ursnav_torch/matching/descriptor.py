@@ -164,10 +164,9 @@ def _histograms(
     dy = unit[:, None, :, 1] - unit[:, :, None, 1]
     squared = dx.square().addcmul_(dy, dy)
     squared.masked_fill_(squared < 1e-10, math.inf).masked_fill_(~mask[:, None, :], math.inf)
-    ring = torch.bucketize(squared, settings.radii().square().float(), right=True)
-    sector = _sectors(torch.atan2(dy, dx), settings, tangents)
     wide = (settings.radial_bins + 1) * settings.angular_bins
-    index = ring.mul_(settings.angular_bins).add_(sector)
+    index = _sectors(torch.atan2(dy, dx), settings, tangents)
+    index.add_(_rings(squared, settings), alpha=settings.angular_bins)
     index.add_(torch.arange(b * p).mul_(wide).view(b, p, 1))
     counts = None if weights is None else weights.float()[:, None, :].expand(b, p, p).reshape(-1)
     total = torch.bincount(index.view(-1), counts, minlength=b * p * wide).view(b, p, wide)
@@ -175,6 +174,17 @@ def _histograms(
     sums = histograms.sum(2, keepdim=True)
     histograms = torch.where(sums > 0, histograms / sums.clamp_min(1e-30), torch.full((), 1 / settings.size))
     return histograms * mask[:, :, None]
+
+
+def _rings(squared: Tensor, settings: ShapeContext) -> Tensor:
+    """Ring 0..radial_bins (outside) of squared distances (B, P, P) in units of `scale`, as uint8.
+
+    One comparison a ring takes a fifth of the time of a search among them.
+    """
+    ring = torch.zeros(squared.shape, dtype=torch.uint8)
+    for edge in settings.radii().square().float().tolist():
+        ring.add_(squared >= edge)
+    return ring
 
 
 def _sectors(angle: Tensor, settings: ShapeContext, tangents: Tensor | None) -> Tensor:

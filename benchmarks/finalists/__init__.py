@@ -1,0 +1,147 @@
+"""What shape contexts and an assignment add to a search's finalists: ``python -m benchmarks.finalists work=DIR``.
+
+Every way of matching sees the same finalists of the same pictures, at the same rolls and tilts. "shapes alone" ranks
+them by shape distance alone; "with maps" as `match` does, unrefined, at the weight of shapes that was best for that way
+on the choosing phantoms. The default of `search.default_matching` and `SearchSettings.shape_weight` are chosen by the
+choosing half; the judging half shows what to expect of it.
+
+Arguments, each ``key=value``: ``work=DIR`` (keeps the VIDs) ``phantoms=3`` (of each half) ``views=60`` ``pictures=24``
+(a calyx, the kinds of `benchmarks.certainty` taking turns) ``out=FILE.json``.
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.certainty.population import kinds
+from benchmarks.shared.phantoms import phantom_vid
+from benchmarks.shared.results import Report, errors_told, overrides
+from benchmarks.shared.statistics import wilson
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import make_phantom_kidney, observed_calyx
+from ursnav_torch.localization import Query, simulated_queries
+from ursnav_torch.localization.evidence import vote
+from ursnav_torch.matching import Hungarian, Matching, Nearest, Sinkhorn
+from ursnav_torch.matching.methods.base import Method
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.search import Ranking, SearchSettings, ViewSearch, default_matching
+from ursnav_torch.threads import one_thread_an_operation
+from ursnav_torch.vid import PlanSettings, Vid
+
+DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "out": ""}
+#: Phantoms from these seeds on choose and judge; `benchmarks.certainty` and the network learn from others.
+CHOOSING_SEED, JUDGING_SEED = 3200, 3300
+#: Weights of the shape distance that are tried; the maps' are 3 together.
+SHAPE_WEIGHTS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)
+CHOOSING, JUDGING = "choosing", "judging"
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """One picture, one way: whether the calyx is right by shapes alone and with maps at every weight, and the time."""
+
+    half: str
+    kind: str
+    alone: bool
+    right: tuple[bool, ...]
+    seconds: float
+
+
+def ways() -> dict[str, Matching]:
+    """The ways of matching that are compared."""
+    base = default_matching()
+    methods: dict[str, Method] = {"nearest": Nearest(keep=1.0), "nearest, both sides": Nearest("sum", keep=1.0),
+                                  "hungarian": Hungarian()}  # fmt: skip
+    found = {name: replace(base, method=method) for name, method in methods.items()}
+    for dummy in (None, 0.1, 0.15, 0.2, 0.3):
+        for epsilon in (0.02, 0.05):
+            name = f"sinkhorn, epsilon {epsilon}, " + ("no dummies" if dummy is None else f"dummies at {dummy}")
+            method = Sinkhorn(epsilon, iterations=20, tolerance=float("inf"), dummy_cost=dummy)
+            found[name] = replace(base, method=method)
+    return found
+
+
+@errors_told
+def main(arguments: Sequence[str]) -> int:
+    """Run the suite, print its tables and write its JSON file."""
+    settings = overrides(DEFAULTS, arguments)
+    if not settings["work"]:
+        raise InputError("work= must name a folder for the phantoms' VIDs.")
+    report = Report("finalists", {k: settings[k] for k in ("phantoms", "views", "pictures")})
+    answers: dict[str, list[Answered]] = {name: [] for name in ways()}
+    plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
+    for half, first in ((CHOOSING, CHOOSING_SEED), (JUDGING, JUDGING_SEED)):
+        for seed in range(first, first + settings["phantoms"]):
+            folder = Path(settings["work"]) / f"finalists_{seed}_{settings['views']}"
+            ask(phantom_vid(make_phantom_kidney(seed), plan, folder), half, seed, settings["pictures"], answers)
+            print(f"{half}: phantom {seed} done", file=sys.stderr, flush=True)
+    for name, own in answers.items():
+        score(report, name, own)
+    report.finish(settings["out"])
+    return 0
+
+
+def ask(vid: Vid, half: str, seed: int, pictures: int, answers: dict[str, list[Answered]]) -> None:
+    """Answers of every way to simulated pictures of one phantom, added to those it has."""
+    search = ViewSearch(vid, SearchSettings(shape_weight=0.0))
+    by_shape = {name: ViewSearch(vid, SearchSettings(shape_weight=1.0), matching) for name, matching in ways().items()}
+    plan = PlanSettings(pictures, 0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0, roll_deg=180.0, seed=seed)
+    extractor = vid.extractor()
+    for query in simulated_queries(vid, RaycastRenderer, plan, np.random.default_rng(seed), kinds()):
+        with torch.inference_mode(), one_thread_an_operation():
+            try:
+                features = extractor.extract(query.image)
+            except FeatureError:
+                continue
+            finalists = search.rank(features)
+            for name, way in by_shape.items():
+                answers[name].append(_answered(vid, half, way, features, finalists, query))
+
+
+def _answered(vid: Vid, half: str, way: ViewSearch, features: Features, finalists: Ranking, query: Query) -> Answered:
+    start = time.process_time()
+    found = way.with_shapes(features, finalists)
+    seconds = time.process_time() - start
+    assert found.assignment is not None
+    calyces = observed_calyx(found.T_kidney_camera, vid.kidney, vid.lumen)
+    alone = found.assignment.distance.numpy().astype(float)
+    right = []
+    for weight in SHAPE_WEIGHTS:
+        similarity = (finalists.score + weight * (1 - alone)) / (finalists.best_score + weight)
+        order = np.argsort(-similarity, kind="stable")
+        said = vote(1 - similarity[order], calyces[order], len(vid.kidney.calyces))
+        right.append(said.calyx == query.calyx)
+    return Answered(half, query.preset, calyces[alone.argmin()] == query.calyx, tuple(right), seconds)
+
+
+def score(report: Report, name: str, answers: list[Answered]) -> None:
+    """Rows of one way: its best weight on the choosing half, and what is right on both, by kind on the judging half."""
+    by_weight = np.mean([a.right for a in answers if a.half == CHOOSING], axis=0)
+    best = int(by_weight.argmax())
+    for half in (CHOOSING, JUDGING):
+        own = [a for a in answers if a.half == half]
+        _row(report, f"{half}: shapes alone", name, [a.alone for a in own])
+        _row(report, f"{half}: with maps", name, [a.right[best] for a in own], f"weight {SHAPE_WEIGHTS[best]:g}, ")
+    for i, weight in enumerate(SHAPE_WEIGHTS):
+        _row(
+            report,
+            f"{CHOOSING}: shapes at weight {weight:g}",
+            name,
+            [a.right[i] for a in answers if a.half == CHOOSING],
+        )
+    for kind in sorted({a.kind for a in answers}):
+        own = [a for a in answers if a.half == JUDGING and a.kind == kind]
+        _row(report, f"{JUDGING}, {kind}: with maps", name, [a.right[best] for a in own])
+    report.add("shape stage, 32 finalists", name, "ms", [1e3 * a.seconds for a in answers], "CPU time")
+
+
+def _row(report: Report, group: str, name: str, right: Sequence[bool], note: str = "") -> None:
+    low, high = wilson(sum(right), len(right))
+    note += f"{sum(right)}/{len(right)}, 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
+    report.add(group, name, "%", [100 * float(np.mean(right))], note, len(right))
