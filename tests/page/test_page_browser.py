@@ -199,6 +199,59 @@ TEXT_BOXES = """() => {
 }"""
 
 
+def test_what_lies_over_the_picture_is_switched_by_keys_and_a_gamepad_goes_everywhere(tab, page):
+    drawn = "JSON.parse(document.getElementById('edges').dataset.drawn ?? '{}')"
+    eventually(lambda: tab.tab.evaluate(drawn).get("edges", 0) > 5)
+    for key, part in (("e", "edges"), ("s", "stones"), ("n", "names"), ("c", "cloud"), ("v", "drawn")):
+        button = tab.tab.locator(f"[data-shows={part}]")
+        assert button.get_attribute("aria-pressed") == "true"
+        tab.tab.keyboard.press(key)
+        assert button.get_attribute("aria-pressed") == "false"
+    eventually(lambda: tab.tab.evaluate(drawn)["edges"] == 0 and not tab.tab.locator("#virtual").is_visible())
+    for key in "esncv":
+        tab.tab.keyboard.press(key)
+    eventually(lambda: tab.tab.evaluate(drawn)["edges"] > 5)
+    assert int(tab.tab.get_attribute("#kidney canvas", "data-cloud")) > 100
+    tab.tab.evaluate(FAKE_GAMEPAD)
+    reached = set()
+    for _ in range(60):
+        tab.tab.evaluate("window.pad.press(14, 15)")  # the cross, right
+        reached.add(tab.tab.evaluate("document.activeElement.id || document.activeElement.innerText"))
+    buttons = tab.tab.locator("button:visible").count()
+    assert len(reached) >= buttons > 20 and {"stop", "end", "acknowledge", "arm"} <= reached
+    tab.tab.focus("[data-shows=edges]")
+    tab.tab.evaluate("window.pad.press(3)")
+    assert tab.tab.locator("[data-shows=edges]").get_attribute("aria-pressed") == "false"
+    tab.tab.evaluate("window.pad.press(3)")
+
+
+#: A gamepad that presses what it is told to; `press` comes back when the page has looked at it.
+FAKE_GAMEPAD = """() => {
+  const pad = { buttons: Array.from({ length: 17 }, () => ({ pressed: false })), axes: [0, 0, 0, 0] };
+  navigator.getGamepads = () => [pad];
+  const wait = () => new Promise((done) => setTimeout(done, 120));
+  pad.press = async (_, i = _) => { pad.buttons[i].pressed = true; await wait(); pad.buttons[i].pressed = false; await wait(); };
+  window.pad = pad;
+  dispatchEvent(new Event("gamepadconnected"));
+}"""
+
+
+def serious(url, browser):
+    """What axe-core calls serious or critical on a page."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    context = browser.new_context(bypass_csp=True, viewport={"width": 1280, "height": 720})
+    tab = context.new_page()
+    tab.goto(url)
+    tab.wait_for_selector("#strip button", timeout=1e3 * PATIENCE_S)
+    found = axe.run(tab).response["violations"]
+    context.close()
+    return [(v["impact"], v["id"], v["nodes"][0]["html"]) for v in found if v["impact"] in ("serious", "critical")]
+
+
+def test_axe_finds_nothing_serious_on_the_live_page(page, browser):
+    assert serious(page.url, browser) == []
+
+
 def test_a_click_on_a_calyx_routes_there(tab, page):
     tab.calyx("D").click()
     tab.wait(lambda text: "Next: D, " in text and page.navigator.bus.latest().guidance.chosen == "D")
@@ -284,6 +337,7 @@ def test_exploring_by_hand_takes_views_and_picks_landmarks(browser, vid, tmp_pat
     try:
         tab = Tab(browser, page.url, shown="#strip button")
         tab.wait(lambda text: text.endswith("0 views and 0 landmarks kept."))
+        assert serious(page.url, browser) == []
         tab.press("go")
         tab.wait(lambda text: text.startswith("Calyx A."))
         before = page.T_kidney_camera

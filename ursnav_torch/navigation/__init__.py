@@ -10,7 +10,7 @@ from ursnav_torch.navigation.guide import Guide
 from ursnav_torch.navigation.navigator import Navigator
 from ursnav_torch.navigation.run import NavigationSummary, Page, run_navigation
 from ursnav_torch.navigation.state import Guidance, Latency, NavigationState
-from ursnav_torch.navigation.status import confidence_words, status_line, turn_words
+from ursnav_torch.navigation.status import confidence_words, status_line, turn_words, way_ahead
 from ursnav_torch.navigation.trail import Trail
 
 __all__ = [
@@ -31,4 +31,5 @@ __all__ = [
     "sensor_in_kidney",
     "status_line",
     "turn_words",
+    "way_ahead",
 ]

@@ -234,14 +234,13 @@ class Navigator:
         now, level = time.monotonic(), self._governor.level
         total, tracking = now - job.captured_s, now - begun
         latency = Latency(total - seen.features_s - tracking, seen.features_s, tracking, total, self._painting_s)
-        edges = seen.features.edges if seen.features is not None and len(seen.features.edges) else None
 
         def change(state: NavigationState) -> NavigationState:
             return _worded(
                 replace(
                     state,
                     frame=job.frame,
-                    edges=edges,
+                    **_shown(seen.features, tracked),
                     tracking=tracked.state,
                     T_kidney_camera=T,
                     calyx=self.vid.calyx_name(tracked.calyx),
@@ -319,6 +318,16 @@ def _log(picture: int, latency: Latency) -> None:
 def _believed(tracked: Tracked) -> Array | None:
     """The pose, where it was seen and not only expected."""
     return tracked.T_kidney_camera if tracked.state == TRACKING and np.isfinite(tracked.score) else None
+
+
+def _shown(features: Features | None, tracked: Tracked) -> dict[str, Any]:
+    """What of a picture and its answer is only looked at."""
+    return {
+        "edges": features.edges if features is not None and len(features.edges) else None,
+        "bodies": features.bodies if features is not None else (),
+        "position_sd_mm": tracked.certainty.position_sd_mm if tracked.certainty is not None else None,
+        "places": tracked.places if tracked.places is not None else np.zeros((0, 4)),
+    }
 
 
 def _names(tracked: Tracked, vid: Vid) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from ursnav_torch.devices import Frame
 from ursnav_torch.exploration.coverage import CalyxCoverage
 from ursnav_torch.exploration.route import Route
 from ursnav_torch.features import EdgePoints
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.tracking.tracker import SEARCHING
 
 Array = NDArray[np.float64]
@@ -67,6 +68,9 @@ class NavigationState:
         calyx: name of the calyx observed; blank for none.
         calyces: names of those that it may be, the observed one first.
         confidence: probability that this is right.
+        position_sd_mm: two of three errors in position are within this; None unless tracking.
+        places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses.
+        bodies: stones and instruments found in the picture.
         guidance: coverage and route.
         path_mm: (N, 3) where the scope has been, kidney frame; a jump of the track is one long step.
         latency: of this picture.
@@ -86,6 +90,9 @@ class NavigationState:
     calyx: str = ""
     calyces: tuple[str, ...] = ()
     confidence: float = 0.0
+    position_sd_mm: float | None = None
+    places: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    bodies: tuple[ForegroundBody, ...] = ()
     guidance: Guidance = field(default_factory=Guidance)
     path_mm: Array = field(default_factory=lambda: np.zeros((0, 3)))
     latency: Latency = field(default_factory=Latency)

@@ -81,13 +81,18 @@ def turn_words(T_kidney_camera: Array, route: Route, scale: float = 1.0) -> str:
     """
     if route.back_mm > BACK_MM * scale:
         return f"pull back {route.back_mm:.0f} mm"
-    position = T_kidney_camera[:3, 3]
-    way = np.linalg.norm(route.points_mm - position, axis=1)
-    ahead = np.flatnonzero((way >= AHEAD_MM * scale) & (np.arange(len(way)) >= int(way.argmin())))
-    goal = route.points_mm[ahead[0] if len(ahead) else -1]
-    x, y, z = (goal - position) @ T_kidney_camera[:3, :3]
+    x, y, z = way_ahead(T_kidney_camera, route, scale)
     if np.degrees(np.arctan2(np.hypot(x, y), z)) <= STRAIGHT_DEG:
         return "straight on"
     if abs(x) >= abs(y):
         return f"bend {'right' if x > 0 else 'left'}"
     return f"bend {'down' if y > 0 else 'up'}"
+
+
+def way_ahead(T_kidney_camera: Array, route: Route, scale: float = 1.0) -> Array:
+    """The point of a route that is steered for, (3,) in the camera frame, mm; arguments as of `turn_words`."""
+    position = T_kidney_camera[:3, 3]
+    way = np.linalg.norm(route.points_mm - position, axis=1)
+    ahead = np.flatnonzero((way >= AHEAD_MM * scale) & (np.arange(len(way)) >= int(way.argmin())))
+    goal = route.points_mm[ahead[0] if len(ahead) else -1]
+    return np.asarray((goal - position) @ T_kidney_camera[:3, :3], float)

@@ -12,17 +12,19 @@ from ursnav_torch.devices import Frame
 from ursnav_torch.kidney import set_words
 from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidence_words
 from ursnav_torch.page.commands import Command
+from ursnav_torch.page.overlays import cloud, scope_overlays
 from ursnav_torch.page.pictures import PagePictures, jpeg
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
 from ursnav_torch.page.server import PageServer
-from ursnav_torch.session import MOVES, SessionControls
+from ursnav_torch.reports.moments import session_moments
+from ursnav_torch.session import MOVES, Player, SessionControls
 
 logger = logging.getLogger(__name__)
 
 #: Looks at the state a second.
 UPDATES_HZ = 20.0
-#: Seconds between scope's pictures, between drawings of what it should see, and between changes of wall and ways.
-PICTURE_S, VIRTUAL_S, PAINT_S = 0.08, 0.5, 1.0
+#: Seconds between scope's pictures, drawings of what it should see, changes of wall and ways, and of the cloud.
+PICTURE_S, VIRTUAL_S, PAINT_S, CLOUD_S = 0.08, 0.5, 1.0, 0.25
 #: On a slow machine drawings, wall and ways change so many times less often; words and the scope's pictures do not.
 SLOWER = 4.0
 
@@ -64,6 +66,8 @@ class LivePage:
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self.server.publish("about", **self._about())
+        if controls.player is not None:
+            self.server.publish("timeline", **timeline(controls.player))
         self._thread.start()
 
     def choose(self, calyx: str) -> None:
@@ -143,6 +147,8 @@ class LivePage:
             return
         self._version = state.version
         self._count(time.monotonic())
+        if self._due("cloud", CLOUD_S):
+            self.server.publish("cloud", points=cloud(state))
         self.server.publish("state", by_hand=console is not None and console.by_hand, **state_values(state, self._rate))
 
     def _show_picture(self, state: NavigationState) -> None:
@@ -151,7 +157,8 @@ class LivePage:
             self._shown = state.frame
             height, width = state.frame.image.shape[:2]
             scope = jpeg(self._pictures.scope(state.frame.image))
-            self.server.publish_picture("scope", scope, width=width, height=height, edges=edge_strokes(state.edges))
+            over = scope_overlays(state, self._vid) | {"edges": edge_strokes(state.edges)}
+            self.server.publish_picture("scope", scope, width=width, height=height, **over)
         if self._due("virtual", VIRTUAL_S * (SLOWER if state.effort else 1.0)):
             self.server.publish_picture("virtual", jpeg(self._pictures.virtual(state.T_kidney_camera)))
 
@@ -180,6 +187,12 @@ class LivePage:
         if now - since >= 2.0:
             located = self.navigator.located
             self._rate, self._located = (located - before) / (now - since), (now, located)
+
+
+def timeline(player: Player) -> dict[str, Any]:
+    """What a record says was known when, and how long it is, s."""
+    stretches = [[round(m.from_s, 2), round(m.to_s, 2), m.kind, m.calyx] for m in session_moments(player.replay)]
+    return {"moments": stretches, "duration_s": player.duration_s}
 
 
 def state_values(state: NavigationState, rate: float) -> dict[str, Any]:

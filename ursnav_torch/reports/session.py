@@ -17,6 +17,7 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
+from ursnav_torch.reports.moments import DOUBT, DOUBT_S, LONGEST_GAP_S
 from ursnav_torch.reports.overview import draw_overview
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
@@ -25,10 +26,6 @@ from ursnav_torch.vid import Vid
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-#: Below this confidence, or without a place, a moment is doubtful once it lasts so long.
-DOUBT, DOUBT_S = 0.6, 0.5
-#: Pictures farther apart count for no longer than this.
-LONGEST_GAP_S = 0.25
 #: The path is measured from point to point at least so far apart; longer steps than the last are jumps of the track.
 STEP_MM, JUMP_MM = 0.5, 4.0
 MOMENTS_SHOWN = 12

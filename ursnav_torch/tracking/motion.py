@@ -10,6 +10,9 @@ from ursnav_torch.errors import InputError
 
 Array = NDArray[np.float64]
 
+#: Hypotheses that somebody may want to look at: as many as a page can draw.
+PLACES = 48
+
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
@@ -47,6 +50,12 @@ class Hypotheses:
     T_kidney_camera: Array
     to_tips_mm: Array
     weight: Array
+
+
+def likeliest_places(found: Hypotheses, count: int = PLACES) -> Array:
+    """(K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses, the likeliest first."""
+    first = np.argsort(-found.weight, kind="stable")[:count]
+    return np.column_stack([found.T_kidney_camera[first, :3, 3], found.weight[first]])
 
 
 def transition(before: Hypotheses, T: Array, to_tips_mm: Array, seconds: float, motion: MotionSettings) -> Array:

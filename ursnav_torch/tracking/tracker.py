@@ -33,7 +33,7 @@ from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.filter import ViewFilter
-from ursnav_torch.tracking.motion import Hypotheses, transition
+from ursnav_torch.tracking.motion import Hypotheses, likeliest_places, transition
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed
@@ -64,6 +64,7 @@ class Tracked:
             showed nothing.
         evidence: what the picture said on whether this is the kidney; None likewise.
         certainty: the calyces that it may be, and how far off the pose may be; None unless tracking.
+        places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses, to be looked at.
     """
 
     state: str
@@ -76,6 +77,7 @@ class Tracked:
     T_aligned: Array | None = None
     evidence: KidneyEvidence | None = None
     certainty: TrackCertainty | None = None
+    places: Array | None = None
 
     @property
     def is_settled(self) -> bool:
@@ -234,14 +236,16 @@ class Tracker:
         if self._state != TRACKING:
             self._smooth.reset()
             spent = time.perf_counter() - start
-            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, refined.T_kidney_camera, evidence)
+            T, places = refined.T_kidney_camera, likeliest_places(found)
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T, evidence, places=places)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
+        aligned, places = refined.T_kidney_camera, likeliest_places(found)
         return Tracked(
-            TRACKING, T, calyx, confidence, fit, refined.score, spent, refined.T_kidney_camera, evidence, self._sure
+            TRACKING, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places
         )
 
     def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:

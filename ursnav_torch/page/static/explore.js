@@ -1,7 +1,12 @@
 // The page to fly through a kidney by hand.
-import { $, connect, hold, keys, put, scopeView } from "./link.js";
+import { $, connect, hold, keys, put } from "./link.js";
+import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
-import { words } from "./words.js";
+import { scopeView } from "./scope.js";
+import { fill, words } from "./words.js";
+
+fill();
+put($("status"), words.labels.starting);
 
 const scope = scopeView($("picture"), $("edges"));
 let view = null, state = null, names = [];
@@ -56,3 +61,4 @@ for (const name of ["take", "unpick", "save", "end"]) $(name).onclick = () => se
 const table = { t: () => send("take"), ...turningKeys(() => view) };
 for (const [move, key] of Object.entries(words.flight)) table[key] = () => send("fly", move);
 keys(table);
+gamepad({ stop: () => {}, turn: (right, down) => view?.turn(right, down) });

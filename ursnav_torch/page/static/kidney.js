@@ -4,7 +4,7 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 
 const TISSUE = [0.88, 0.58, 0.57], SEEN = [0.25, 0.72, 0.4];
 const COLORS = { inspected: 0x63d07a, glimpsed: 0xf2b53c, unseen: 0xff6f64, "out of reach": 0x9aa5ae };
-const FRUSTUM_MM = 3.5;
+const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
 // No picture is drawn wider: without a graphics card the time goes with its pixels.
 const WIDEST_PX = 1200;
 
@@ -54,6 +54,10 @@ export async function kidneyView(pane, onCalyx) {
   scope.add(new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(cone), new THREE.LineBasicMaterial({ color: 0xffffff })));
   scope.add(new THREE.Mesh(new THREE.SphereGeometry(0.55 * unit, 16, 12), new THREE.MeshBasicMaterial({ color: 0xffffff })));
   [[1, 0, 0, 0xff5a4d], [0, 1, 0, 0x5fe07a], [0, 0, 1, 0x6aa8ff]].forEach(([x, y, z, color]) => scope.add(new THREE.ArrowHelper(new THREE.Vector3(x, y, z), new THREE.Vector3(), 1.6 * f, color, 0.4 * f, 0.25 * f)));
+
+  // Where the scope may be: as dense as it is likely.
+  const haze = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ color: CLOUD, size: 1.5 * unit, transparent: true, opacity: 0.35, depthWrite: false, depthTest: false }));
+  haze.frustumCulled = false; scene.add(haze);
 
   const ways = new THREE.Group(), dots = new THREE.Group(); scene.add(ways, dots);
   const line = (points, color, faded) => {
@@ -123,6 +127,8 @@ export async function kidneyView(pane, onCalyx) {
       for (let i = 0; i < about.vertices; i++) colors.set(found.has(patches[i]) ? SEEN : TISSUE, 3 * i);
       surface.attributes.color.needsUpdate = true; ask();
     },
+    cloud(points) { haze.geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flat(), 3)); canvas.dataset.cloud = points.length; ask(); },
+    toggleCloud() { haze.visible = !haze.visible; ask(); return haze.visible; },
     ways(path, route) {
       empty(ways);
       path.forEach((piece, i) => ways.add(line(piece, 0xd8e4ee, i === path.length - 1)));

@@ -39,21 +39,3 @@ export function keys(table) {
     if (table[key]) { event.preventDefault(); table[key](event); }
   }, true);
 }
-
-// The scope's picture and, over it, what was found in it.
-export function scopeView(picture, overlay) {
-  let last = null, shown = true;
-  const draw = () => {
-    if (!last) return;
-    for (const canvas of [picture, overlay]) if (canvas.width !== last.width || canvas.height !== last.height) { canvas.width = last.width; canvas.height = last.height; }
-    picture.getContext("2d").drawImage(last.bitmap, 0, 0);
-    picture.dataset.shown = 1 + Number(picture.dataset.shown ?? 0);
-    const pen = overlay.getContext("2d");
-    pen.clearRect(0, 0, last.width, last.height);
-    if (!shown) return;
-    pen.strokeStyle = "#3ce63c"; pen.lineWidth = 1; pen.beginPath();
-    for (const [ax, ay, bx, by] of last.edges) { pen.moveTo(ax, ay); pen.lineTo(bx, by); }
-    pen.stroke();
-  };
-  return { show(m) { last?.bitmap.close(); last = m; draw(); }, toggle() { shown = !shown; draw(); return shown; } };
-}
