@@ -42,13 +42,16 @@ def config_dir() -> str:
     raise FileNotFoundError(f"No configs folder in {_HERE} or beside it; install ursnav-torch again.")
 
 
-def runner(config_name: str, paths: Sequence[str] = ()) -> Callable[[Callable[[Any], int | None]], Callable[[], None]]:
+def runner(
+    config_name: str, paths: Sequence[str] = (), words: Sequence[str] = ()
+) -> Callable[[Callable[[Any], int | None]], Callable[[], None]]:
     """Make ``task(config)`` a runner that reads its overrides from the command line.
 
     Args:
         config_name: the root file in ``configs/``.
         paths: keys whose values are paths, besides those that all runners share; such a value needs no
             Hydra quoting whatever characters it holds.
+        words: keys that a word alone sets to true: ``live`` is ``live=true``.
     """
 
     def decorate(task: Callable[[Any], int | None]) -> Callable[[], None]:
@@ -57,6 +60,7 @@ def runner(config_name: str, paths: Sequence[str] = ()) -> Callable[[Callable[[A
             if {"-h", "--help"} & set(sys.argv[1:]):
                 print(help_text(Path(config_dir()) / f"{config_name}.yaml"))
                 sys.exit(OK)
+            sys.argv[1:] = [f"{argument}=true" if argument in words else argument for argument in sys.argv[1:]]
             sys.argv[1:] = [quote_path(argument, {*_COMMON_PATHS, *paths}) for argument in sys.argv[1:]]
             started = False
 

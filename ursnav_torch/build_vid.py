@@ -14,6 +14,7 @@ def main(config: Any) -> None:
 
     from ursnav_torch.files import check_output
     from ursnav_torch.localization import Localizer, learn_confidence
+    from ursnav_torch.processes import spare_children
     from ursnav_torch.reports import report_look_alikes
     from ursnav_torch.vid import PlanSettings, build_vid
 
@@ -23,9 +24,11 @@ def main(config: Any) -> None:
     make_renderer, plan = instantiate(config.rendering), instantiate(config.views)
     trial = plan if isinstance(plan, PlanSettings) else PlanSettings()
     choices = {name: instantiate(config[name]) for name in ("matching", "search", "alignment")}
+    children = spare_children(config.compute.get("workers"))
     learn = partial(
-        learn_confidence, make_renderer=make_renderer, plan=trial, make_localizer=partial(Localizer, **choices)
-    )
+        learn_confidence, make_renderer=make_renderer, plan=trial, make_localizer=partial(Localizer, **choices),
+        children=children,
+    )  # fmt: skip
     vid = build_vid(
         kidney,
         camera,

@@ -1,45 +1,88 @@
 """The whole job on a built-in phantom: VID, simulated pictures, matches, a table and a page with pictures."""
 
+from pathlib import Path
 from typing import Any
 
 from ursnav_torch._runner import caller_path, progress, runner
 
 
-@runner("demo")
+@runner("demo", words=("live",))
 def main(config: Any) -> None:
-    """Instantiate the choices, build the VID unless it is there, and call `runs.demo.run_demo`."""
-    from functools import partial
+    """Build the VID unless it is there, then locate pictures, or with ``live`` fly and open the page."""
+    out = caller_path(config.out)
+    if config.live:
+        _live(config, out)
+    else:
+        _pictures(config, out)
 
+
+def _pictures(config: Any, out: Path) -> None:
+    """Call `runs.demo.run_demo`."""
+    from ursnav_torch.files import check_output
+    from ursnav_torch.runs.demo import run_demo
+    from ursnav_torch.runs.tables import Steps, print_scores
+
+    check_output(out, config.overwrite)
+    print("The whole job on a phantom kidney that comes with the program: about two minutes on two cores.")
+    steps = Steps(4)
+    vid, make_renderer, plan = _vid(config, out, config.overwrite, steps)
+    scores = run_demo(
+        vid, make_renderer, plan, config.pictures_per_calyx, out, overwrite=config.overwrite, progress=progress,
+        workers=config.workers, begin=steps.begin,
+    )  # fmt: skip
+    print(f"Done in {steps.end():.0f} s.\n")
+    print_scores(scores, f"{len(vid)} views of {len(vid.kidney.calyces)} calyces")
+    print(f"\nWhere each picture was taken: {(out / 'report' / 'index.html').as_uri()}")
+
+
+def _live(config: Any, out: Path) -> None:
+    """Call `runs.flight_record.record_flight` unless that is there, then `runs.navigate.navigate_vid` on it."""
     from hydra.utils import instantiate
 
-    from ursnav_torch.files import check_output
-    from ursnav_torch.localization import learn_confidence
-    from ursnav_torch.runs.demo import run_demo
-    from ursnav_torch.runs.tables import print_scores
-    from ursnav_torch.vid import build_vid
+    from ursnav_torch.runs.flight_record import record_flight
+    from ursnav_torch.runs.navigate import navigate_vid
+    from ursnav_torch.runs.tables import Steps
+    from ursnav_torch.session import Replay
+    from ursnav_torch.tracking.tracker import Tracker
 
-    out = caller_path(config.out)
-    check_output(out, config.overwrite)
+    steps, session = Steps(4), out.with_name(out.name + "_live")
+    vid, make_renderer, _ = _vid(config, out, False, steps)
+    if not session.exists():
+        record_flight(
+            vid, make_renderer, session, pictures=config.flight_pictures, workers=config.workers, progress=progress,
+            begin=steps.begin,
+        )  # fmt: skip
+    steps.end()
+    print("The page plays the session until you end it there, or with Ctrl-C. Its address:", flush=True)
+    page, replay = instantiate(config.viewer), Replay(session / "session")
+    print(navigate_vid(Tracker(vid), replay, make_renderer, page, duration_s=config.seconds))
+
+
+def _vid(config: Any, out: Path, overwrite: bool, steps: Any) -> tuple[Any, Any, Any]:
+    """The demo's VID, built unless it is there and may stay, what draws in it, and the plan of its views."""
+    from hydra.utils import instantiate
+
+    from ursnav_torch.localization import learn_confidence
+    from ursnav_torch.processes import spare_children
+    from ursnav_torch.vid import build_vid, load_vid
+
+    folder = out.with_name(out.name + "_vid")
     make_renderer, plan = instantiate(config.rendering), instantiate(config.views)
+    if config.live and folder.exists():
+        return load_vid(folder), make_renderer, plan
+
+    def learn(vid: Any, progress: Any) -> dict[str, object]:
+        steps.begin("Learning from other pictures how far answers in this kidney can be trusted")
+        count, children = config.queries_per_calyx, spare_children(config.workers)
+        return learn_confidence(vid, make_renderer, plan, count, progress, children=children)
+
+    steps.begin("Drawing views of the kidney, and reducing each to what can be compared")
+    kidney, camera, features = (instantiate(config[choice]) for choice in ("kidney", "camera", "features"))
     vid = build_vid(
-        instantiate(config.kidney),
-        instantiate(config.camera),
-        instantiate(config.features),
-        make_renderer,
-        plan,
-        out.with_name(out.name + "_vid"),
-        overwrite=config.overwrite,
-        workers=config.workers,
-        progress=progress,
-        learn=partial(
-            learn_confidence, make_renderer=make_renderer, plan=plan, queries_per_calyx=config.queries_per_calyx
-        ),
-    )
-    scores = run_demo(
-        vid, make_renderer, plan, config.pictures_per_calyx, out, overwrite=config.overwrite, progress=progress
-    )
-    print_scores(scores, f"{len(vid)} views of {len(vid.kidney.calyces)} calyces")
-    print(f"\nOpen {out / 'report' / 'index.html'} to see where each picture was taken.")
+        kidney, camera, features, make_renderer, plan, folder,
+        overwrite=overwrite, workers=config.workers, progress=progress, learn=learn,
+    )  # fmt: skip
+    return vid, make_renderer, plan
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """The page without a browser: who may reach it, its words and pictures, what is collected on it."""
 
+import base64
+import csv
 import http.client
 import itertools
 import json
@@ -25,10 +27,10 @@ from ursnav_torch.kidney import read_calyces
 from ursnav_torch.navigation import Guidance, NavigationState, Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, LivePage, PagePictures, check_address, web_page
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
-from ursnav_torch.page.live import state_values
+from ursnav_torch.page.live import state_values, timeline
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
 from ursnav_torch.rendering import RayScene
-from ursnav_torch.reports.session import session_figures, write_session_report
+from ursnav_torch.reports.session import session_figures, write_comparison, write_session_report
 from ursnav_torch.session import Recorder, Replay, SessionControls
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, read_views
@@ -196,10 +198,36 @@ def test_a_session_in_figures(vid, record):
 def test_the_report_needs_nothing_but_itself(vid, record, tmp_path):
     path = write_session_report(vid, Replay(record, speed=0), tmp_path / "report.html")
     text = path.read_text(encoding="utf-8")
-    assert not re.search(r"(?:src|href)=\"(?!data:)", text) and "http" not in text
+    assert not re.search(r"(?:src|href)=\"(?!data:|#t\d)", text) and "http" not in text
     for part in ("Path", "What was seen", "Calyces", "Doubtful moments", "duration", "mm/s"):
         assert part in text
     assert text.count("<img ") >= 4
+    ids = set(re.findall(r'<figure id="(t\d+)"', text))
+    assert len(ids) > 20 and set(re.findall(r'<a href="#(t\d+)"', text)) <= ids
+    assert re.search(r"<title>\d.* s: sure, A</title>", text)
+    names, addresses = zip(*re.findall(r'download="(.*?)" href="data:text/csv;base64,(.*?)"', text), strict=True)
+    assert names == ("moments.csv", "calyces.csv", "path.csv")
+    rows = list(csv.DictReader(base64.b64decode(addresses[2]).decode().splitlines()))
+    assert len(rows) == 60 and {row["accepted"] for row in rows} == {"true", "false"} and rows[5]["calyx"] == "A"
+
+
+def test_two_sessions_are_laid_side_by_side_and_one_that_was_never_navigated_is_refused(vid, record, tmp_path):
+    path = write_comparison(vid, Replay(record, speed=0), Replay(record, speed=0), tmp_path / "both.html")
+    text = path.read_text(encoding="utf-8")
+    assert text.count('class="time-line"') == 2 and text.count("duration") == 1 and text.count("navigated</h3>") == 4
+    assert set(re.findall(r'<a href="#([ab])\d+"', text)) == {"a", "b"}
+    raw = Replay(record.parent / "raw", speed=0)
+    with pytest.raises(InputError, match=r"raw holds no results; navigate it first"):
+        write_comparison(vid, Replay(record, speed=0), raw, tmp_path / "none.html")
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_a_records_time_line_says_what_was_known_when(record):
+    found = timeline(SimpleNamespace(replay=Replay(record, speed=0), duration_s=5.9))
+    kinds = [(kind, calyx) for _, _, kind, calyx in found["moments"]]
+    assert ("sure", "A") in kinds and {"searching", "unsure"} & {kind for kind, _ in kinds}
+    ends = [(a, b) for a, b, _, _ in found["moments"]]
+    assert ends[0][0] < 0.3 and ends[-1][1] <= 6.0 and all(b <= c + 1e-6 for (_, b), (c, _) in itertools.pairwise(ends))
 
 
 def request(port, path):

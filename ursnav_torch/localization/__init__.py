@@ -2,7 +2,7 @@
 
 from ursnav_torch.localization.ambiguity import LookAlikes, find_look_alikes
 from ursnav_torch.localization.answers import Candidate, Location
-from ursnav_torch.localization.learn import LEARNED_FROM, Query, learn_confidence, simulated_queries
+from ursnav_torch.localization.learn import LEARNED_FROM, Query, learn_confidence, queries_from, simulated_queries
 from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.localization.settings import LocalizationSettings
 from ursnav_torch.search import SearchSettings, default_matching
@@ -19,5 +19,6 @@ __all__ = [
     "default_matching",
     "find_look_alikes",
     "learn_confidence",
+    "queries_from",
     "simulated_queries",
 ]

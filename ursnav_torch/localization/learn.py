@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -16,6 +17,7 @@ from ursnav_torch.localization.ambiguity import find_look_alikes
 from ursnav_torch.localization.fitting import NOTHING
 from ursnav_torch.localization.learned import evidence_table
 from ursnav_torch.localization.locate import Localizer
+from ursnav_torch.processes import in_order
 from ursnav_torch.rendering import WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset, draw_faults, none_pictures, simulate
 from ursnav_torch.threads import one_thread_an_operation
@@ -27,6 +29,8 @@ Array = NDArray[np.float64]
 LEARNED_FROM: Mapping[str, Preset] = MappingProxyType({**PRESETS, "wide": WIDE})
 #: Share of pictures that show no calyx among those learned from.
 NONE_SHARE = 0.5
+#: A VID of more views is not sent to other processes: each would hold it again.
+MOST_VIEWS_SENT = 20_000
 #: Pictures drawn in one state of a moved and swollen kidney.
 PICTURES_A_WARP = 8
 
@@ -61,8 +65,20 @@ def simulated_queries(
     is the one relative to the wall around.
     """
     views = plan_views(vid.kidney, vid.lumen, plan)
+    yield from queries_from(vid, make_renderer, views.T_kidney_camera, views.calyx, rng, presets)
+
+
+def queries_from(
+    vid: Vid,
+    make_renderer: MakeRenderer,
+    T_kidney_camera: Array,
+    calyces: NDArray[np.int64],
+    rng: np.random.Generator,
+    presets: Mapping[str, Preset] = PRESETS,
+) -> Iterator[Query]:
+    """`simulated_queries` from poses (N, 4, 4) that were planned elsewhere, which observe ``calyces`` (N,)."""
     renderer, names, moved_pictures = make_renderer(vid.kidney.mesh, vid.camera), list(presets), 0
-    for i, (T, calyx) in enumerate(zip(views.T_kidney_camera, views.calyx, strict=True)):
+    for i, (T, calyx) in enumerate(zip(T_kidney_camera, calyces, strict=True)):
         name = names[i % len(names)]
         faults = draw_faults(presets[name], rng)
         if name.startswith("thesis"):
@@ -83,6 +99,7 @@ def learn_confidence(
     queries_per_calyx: int = 24,
     progress: Progress = no_progress,
     make_localizer: Callable[[Vid], Localizer] = Localizer,
+    children: int = 0,
 ) -> dict[str, object]:
     """Locate simulated pictures from poses that are no views, and keep what was known of each, to fit certainty to.
 
@@ -93,46 +110,69 @@ def learn_confidence(
         queries_per_calyx: pictures of each calyx.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
         make_localizer: with the settings that pictures will be located with; confidence holds for them alone.
+        children: processes that locate while this one draws; the result is the same with any number.
 
     Returns:
         Plain data for `certainty_model`.
     """
     rng = np.random.default_rng(plan.seed + 1)
     alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
-    localizer = make_localizer(vid)
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
+    asker, pictures = partial(_Asker, vid, make_localizer), _pictures(vid, make_renderer, alike, rng)
+    rows = []
     with progress(total, "pictures to learn from") as advance:
-        rows = ask(localizer, _pictures(vid, make_renderer, alike, rng), advance)
+        for row in in_order(asker, pictures, children if len(vid) <= MOST_VIEWS_SENT else 0):
+            rows += [] if row is None else [row]
+            advance(1)
     shown, answered = (np.array([row[key] for row in rows], np.int64) for key in ("shown", "answered"))
     far = np.array([row["far"] for row in rows])
     look_alikes = find_look_alikes(shown, answered, far, len(vid.kidney.calyces))
     return {
-        "confidence": {"settings": localizer.evidence_settings(), "pictures": evidence_table(rows)},
+        "confidence": {"settings": make_localizer(vid).evidence_settings(), "pictures": evidence_table(rows)},
         "queries": len(rows),
         "right": int((shown == answered).sum()),
         "look_alikes": look_alikes.to_dict(),
     }
 
 
+class _Asker:
+    """Called with a query: its row, see `answer_row`."""
+
+    def __init__(self, vid: Vid, make_localizer: Callable[[Vid], Localizer]) -> None:
+        self.localizer = make_localizer(vid)
+
+    def __call__(self, query: Query) -> dict[str, Any] | None:
+        return answer_row(self.localizer, query)
+
+
 def ask(localizer: Localizer, queries: Iterable[Query], advance: Callable[[int], None]) -> list[dict[str, Any]]:
-    """A row for `evidence_table` of every picture that can be located, and ``answered``, ``kind`` and ``far``, the way
-    in mm from the shown calyx's tip; ``advance`` is called with 1 after each."""
-    vid, rows = localizer.vid, []
-    with torch.inference_mode(), one_thread_an_operation():
-        for query in queries:
-            advance(1)
-            try:
-                found = localizer.judge(localizer.features(query.image))
-            except FeatureError:
-                continue
-            T, scale = query.T_kidney_camera, vid.kidney.scale
-            ways = {
-                "refined": (found.evidence, *_errors(localizer.pose(found), T, scale)),
-                "nearest": (found.nearest, *_errors(localizer.nearest_pose(found), T, scale)),
-            }
-            far = float(vid.lumen.to_calyces(T[:3, 3])[0, query.calyx]) if query.calyx >= 0 else np.nan
-            rows.append(ways | {"shown": query.calyx, "answered": found.calyx, "kind": query.preset, "far": far})
+    """`answer_row` of every picture that can be located; ``advance`` is called with 1 after each."""
+    rows = []
+    for query in queries:
+        advance(1)
+        row = answer_row(localizer, query)
+        rows += [] if row is None else [row]
     return rows
+
+
+def answer_row(localizer: Localizer, query: Query) -> dict[str, Any] | None:
+    """A row for `evidence_table`, and ``answered``, ``kind`` and ``far``, the way in mm from the shown calyx's tip.
+
+    None for a picture that shows too little.
+    """
+    vid, T = localizer.vid, query.T_kidney_camera
+    with torch.inference_mode(), one_thread_an_operation():
+        try:
+            found = localizer.judge(localizer.features(query.image))
+        except FeatureError:
+            return None
+        scale = vid.kidney.scale
+        ways = {
+            "refined": (found.evidence, *_errors(localizer.pose(found), T, scale)),
+            "nearest": (found.nearest, *_errors(localizer.nearest_pose(found), T, scale)),
+        }
+    far = float(vid.lumen.to_calyces(T[:3, 3])[0, query.calyx]) if query.calyx >= 0 else np.nan
+    return ways | {"shown": query.calyx, "answered": found.calyx, "kind": query.preset, "far": far}
 
 
 def _errors(T: Array, T_true: Array, scale: float) -> tuple[float | None, float | None]:

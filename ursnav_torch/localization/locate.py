@@ -1,6 +1,8 @@
 """From one picture to a place: search the VID, refine the best hypotheses, weigh, decide."""
 
 import time
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,7 +21,7 @@ from ursnav_torch.matching import Matching
 from ursnav_torch.search import Ranking, SearchSettings, ViewSearch, default_matching
 from ursnav_torch.search.pose_mean import NEAR_MM, are_near, mean_pose
 from ursnav_torch.threads import one_thread_an_operation
-from ursnav_torch.vid import Vid
+from ursnav_torch.vid import Vid, load_vid
 
 Array = NDArray[np.float64]
 
@@ -56,6 +58,7 @@ class Localizer:
         alignment: RefinementSettings | None = None,
     ) -> None:
         self.vid, self.settings = vid, settings or LocalizationSettings()
+        self._choices, self._scenes = (matching, settings, search, alignment), list[NDArray[np.bool_]]()
         self._extractor = vid.extractor()
         self.search = ViewSearch(vid, search, matching, self._extractor.working_camera)
         able = self.settings.refine and vid.features.maps.shape[1] > 0
@@ -171,6 +174,11 @@ class Localizer:
         """From now on pictures show the scene in a part (H, W) of the lens alone, see `features.scene_of`."""
         if isinstance(self._extractor, DefaultExtractor):
             self._extractor = self._extractor.through(scene)
+            self._scenes.append(scene)
+
+    def again(self) -> "Again":
+        """How another process makes the same localizer, from the folder of the VID."""
+        return Again(self.vid.folder, self._choices, tuple(self._scenes))
 
     def _mean_of_views(self, ranking: Ranking, row: int) -> Array:
         """The weighted mean (4, 4) of the hypotheses at the place of one of them, weighted as their views vote."""
@@ -209,3 +217,19 @@ class Localizer:
             if len(rows) == most:
                 break
         return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Again:
+    """What a localizer was made of: its VID's folder, its choices, and the scenes it was narrowed to."""
+
+    vid: Path
+    choices: tuple[Matching | None, LocalizationSettings | None, SearchSettings | None, RefinementSettings | None]
+    scenes: tuple[NDArray[np.bool_], ...]
+
+    def localizer(self) -> Localizer:
+        """The localizer, with the VID loaded again."""
+        made = Localizer(load_vid(self.vid), *self.choices)
+        for scene in self.scenes:
+            made.narrow(scene)
+        return made

@@ -16,7 +16,7 @@ from ursnav_torch.page.overlays import cloud, scope_overlays
 from ursnav_torch.page.pictures import PagePictures, jpeg
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
 from ursnav_torch.page.server import PageServer
-from ursnav_torch.reports.moments import session_moments
+from ursnav_torch.reports.stretches import session_stretches
 from ursnav_torch.session import MOVES, Player, SessionControls
 
 logger = logging.getLogger(__name__)
@@ -191,7 +191,7 @@ class LivePage:
 
 def timeline(player: Player) -> dict[str, Any]:
     """What a record says was known when, and how long it is, s."""
-    stretches = [[round(m.from_s, 2), round(m.to_s, 2), m.kind, m.calyx] for m in session_moments(player.replay)]
+    stretches = [[round(m.from_s, 2), round(m.to_s, 2), m.kind, m.calyx] for m in session_stretches(player.replay)]
     return {"moments": stretches, "duration_s": player.duration_s}
 
 

@@ -49,7 +49,7 @@ def body_outlines(bodies: tuple[ForegroundBody, ...], camera: Camera) -> list[li
 
 
 def names_in_picture(T_kidney_camera: Array, vid: Vid) -> list[list[Any]]:
-    """Name and place (x, y) of every calyx whose tip is near along the lumen and in the picture."""
+    """Name and place x, y of every calyx whose tip is near along the lumen and in the picture of a pose (4, 4)."""
     near = vid.lumen.to_calyces(T_kidney_camera[None, :3, 3])[0] <= OBSERVED_WITHIN_MM * vid.kidney.scale
     pixels, inside = vid.camera.project(apply(inverse(T_kidney_camera), vid.kidney.tips_mm))
     shown = np.flatnonzero(near & inside)
@@ -57,8 +57,10 @@ def names_in_picture(T_kidney_camera: Array, vid: Vid) -> list[list[Any]]:
 
 
 def way_in_picture(T_kidney_camera: Array, state: NavigationState, vid: Vid) -> list[float] | None:
-    """The direction (x, y) in which the picture shows the way on, length 1 at a right angle to the axis and beyond;
-    None without a way."""
+    """The direction x, y in which the picture of a pose (4, 4) shows the way on; None without a way.
+
+    Its length is the angle from the axis, 1 at a right angle and beyond.
+    """
     route = state.guidance.route
     if route is None:
         return None

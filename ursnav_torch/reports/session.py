@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.devices import Frame
+from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.files import whole_file
 from ursnav_torch.geometry import transform_from_quaternion
@@ -17,8 +18,9 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
-from ursnav_torch.reports.moments import DOUBT, DOUBT_S, LONGEST_GAP_S
 from ursnav_torch.reports.overview import draw_overview
+from ursnav_torch.reports.session_parts import files_to_keep, film, time_line
+from ursnav_torch.reports.stretches import DOUBT, DOUBT_S, LONGEST_GAP_S, session_stretches
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import Vid
@@ -108,22 +110,49 @@ def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
         replay: the record, with results.
         path: of the file.
     """
+    with whole_file(path) as partial:
+        text = render_page("session.html.j2", title="Session", **session_values(vid, replay))
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_comparison(vid: Vid, first: Replay, second: Replay, path: Path) -> Path:
+    """Write a page with two recorded sessions in one kidney side by side; arguments as of `write_session_report`.
+
+    Raises:
+        InputError: a record holds no results: it was never navigated.
+    """
+    for replay in (first, second):
+        if not any("state" in r.row for r in replay.results()):
+            raise InputError(
+                f"The record {replay.path} holds no results; navigate it first: ursnav navigate vid=... "
+                f"hardware=replay hardware.path={replay.path} viewer=none out=FOLDER."
+            )
+    sides = [session_values(vid, r, prefix) | {"name": r.path.name} for r, prefix in ((first, "a"), (second, "b"))]
+    rows = [[side["calyces"][i] for side in sides] for i in range(len(vid.kidney.calyces))]
+    with whole_file(path) as partial:
+        text = render_page("comparison.html.j2", title="Two sessions", sides=sides, calyces=rows)
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any]:
+    """What a session's part of a page is filled with; ``prefix`` begins the names of places on the page."""
     figures = session_figures(replay, vid.kidney)
     coverage = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     for T, seconds in zip(figures.T_kidney_camera[figures.settled], passed[figures.settled], strict=True):
         coverage.add(T, float(seconds))
-    page = render_page(
-        "session.html.j2",
-        title="Session",
-        summary=_summary(figures, len(vid.kidney.calyces)),
-        path=[inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
-        coverage=inline_picture(draw_coverage(coverage)),
-        **_details(figures, coverage, replay),
-    )
-    with whole_file(path) as partial:
-        partial.write_text(page, encoding="utf-8")
-    return path
+    details, stretches, pictures = _details(figures, coverage, replay), session_stretches(replay), film(replay, prefix)
+    return {
+        "summary": _summary(figures, len(vid.kidney.calyces)),
+        "path": [inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
+        "coverage": inline_picture(draw_coverage(coverage)),
+        "pictures": pictures,
+        "boxes": time_line(stretches, pictures, replay.duration_s()),
+        "files": files_to_keep(stretches, details["calyces"], replay),
+        **details,
+    }
 
 
 def _details(figures: SessionFigures, coverage: Coverage, replay: Replay) -> dict[str, Any]:

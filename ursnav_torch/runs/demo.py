@@ -1,18 +1,25 @@
 """The whole job without data or devices: a phantom's VID, simulated pictures, matches, a page."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ursnav_torch.columns import TRUTH_COLUMNS
 from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import angle_between
-from ursnav_torch.localization import LEARNED_FROM, Localizer, Query, simulated_queries
+from ursnav_torch.localization import LEARNED_FROM, Localizer, Query, queries_from
+from ursnav_torch.processes import in_order, spare_children
 from ursnav_torch.runs.match import match_images
-from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, pose_cells
+from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views, pose_cells
+
+#: Pictures drawn in one go: every kind of faults has its turn in them.
+DRAWN_AT_ONCE = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +50,8 @@ def run_demo(
     *,
     overwrite: bool = False,
     progress: Progress = no_progress,
+    workers: int | None = None,
+    begin: Callable[[str], None] = lambda what: None,
 ) -> list[PresetScore]:
     """Draw pictures of the VID's kidney with sensor faults, locate them, and write all of it to a folder.
 
@@ -56,33 +65,60 @@ def run_demo(
         out: folder to be made.
         overwrite: replace what stands there.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
+        workers: processes; all cores when None. Results are the same with any number.
+        begin: told what is done next.
     """
     with whole_folder(out, overwrite, resume=True) as work:
-        queries = _draw_queries(vid, make_renderer, plan, pictures_per_calyx, work, progress)
+        begin(f"Drawing {pictures_per_calyx * len(vid.kidney.calyces)} pictures as a ureteroscope would take them")
+        queries = _draw_queries(vid, make_renderer, plan, pictures_per_calyx, work, progress, workers)
         truth = {name: vid.calyx_name(q.calyx) for name, q in queries.items()}
-        rows = match_images(
-            Localizer(vid), str(work / "images"), work / "matches.csv", work / "report", True, progress, truth
-        )
+        begin("Locating them, and writing a page about each")
+        folders = str(work / "images"), work / "matches.csv", work / "report"
+        children = spare_children(workers)
+        rows = match_images(Localizer(vid), *folders, True, progress, truth, children)
     return _scores(vid, queries, rows)
 
 
 def _draw_queries(
-    vid: Vid, make_renderer: MakeRenderer, plan: PlanSettings, pictures_per_calyx: int, work: Path, progress: Progress
+    vid: Vid,
+    make_renderer: MakeRenderer,
+    plan: PlanSettings,
+    pictures_per_calyx: int,
+    work: Path,
+    progress: Progress,
+    workers: int | None,
 ) -> dict[str, Query]:
     """The pictures by name, written to ``images/``, and ``truth.csv``."""
     images = work / "images"
     shutil.rmtree(images, ignore_errors=True)  # of an interrupted run: its pictures need not be these
     images.mkdir()
     alike = replace(plan, views_per_calyx=pictures_per_calyx, passage_views=0, seed=plan.seed + 2)
-    rng = np.random.default_rng(alike.seed)
-    queries = {}
-    with progress(pictures_per_calyx * len(vid.kidney.calyces), "pictures drawn") as advance:
-        for i, query in enumerate(simulated_queries(vid, make_renderer, alike, rng, LEARNED_FROM)):
-            queries[f"{i:03d}_{query.preset}.png"] = query
-            write_image(images / f"{i:03d}_{query.preset}.png", query.image)
-            advance(1)
+    views = plan_views(vid.kidney, vid.lumen, alike)
+    firsts = range(0, len(views.calyx), DRAWN_AT_ONCE)
+    parts = [(i, views.T_kidney_camera[i : i + DRAWN_AT_ONCE], views.calyx[i : i + DRAWN_AT_ONCE]) for i in firsts]
+    children = 0 if spare_children(workers) == 0 else spare_children(workers) + 1  # this process has little to do
+    queries: dict[str, Query] = {}
+    with progress(len(views.calyx), "pictures drawn") as advance:
+        for drawn in in_order(partial(_Draughtsman, vid, make_renderer, alike.seed), parts, children):
+            for query in drawn:
+                name = f"{len(queries):03d}_{query.preset}.png"
+                write_image(images / name, query.image)
+                queries[name] = query
+                advance(1)
     write_csv(work / "truth.csv", (*TRUTH_COLUMNS, "preset"), [_truth_row(vid, name, q) for name, q in queries.items()])
     return queries
+
+
+class _Draughtsman:
+    """Called with the number of a first pose, poses and calyces: pictures from there, by numbers of their own."""
+
+    def __init__(self, vid: Vid, make_renderer: MakeRenderer, seed: int) -> None:
+        self._vid, self._make_renderer, self._seed = vid, make_renderer, seed
+
+    def __call__(self, part: tuple[int, NDArray[np.float64], NDArray[np.int64]]) -> list[Query]:
+        first, T, calyces = part
+        rng = np.random.default_rng([self._seed, first])
+        return list(queries_from(self._vid, self._make_renderer, T, calyces, rng, LEARNED_FROM))
 
 
 def _truth_row(vid: Vid, name: str, query: Query) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A `match` run: pictures in, CSV and page out."""
 
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from ursnav_torch.columns import MATCH_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import read_image, scene_of
 from ursnav_torch.files import Progress, fingerprint, write_csv
-from ursnav_torch.localization import Localizer
+from ursnav_torch.localization import Localizer, Location
 from ursnav_torch.reports import MatchReport
 from ursnav_torch.results import check_set, whole_set
 from ursnav_torch.runs.journal import Journal
@@ -37,6 +38,7 @@ def match_images(
     overwrite: bool,
     progress: Progress,
     truth: dict[str, str] | None = None,
+    children: int = 0,
 ) -> list[dict[str, Any]]:
     """Locate all pictures of a file, folder or glob, write the CSV and, if asked for, the page with pictures.
 
@@ -50,6 +52,7 @@ def match_images(
         overwrite: replace what stands there.
         progress: ``progress(total, what)`` gives a context with ``advance(n)``.
         truth: true calyx names by picture, shown on the page where known.
+        children: processes that locate while this one writes the page; rows are the same but for their seconds.
 
     Returns:
         The rows, keyed by `MATCH_COLUMNS`.
@@ -71,7 +74,8 @@ def match_images(
             _narrow(localizer, paths)
             journal = Journal(whole.folder / "journal.jsonl", work, names)
             page = None if report is None else _page(whole.staged(report), localizer, journal)
-            rows = _located(localizer, base, paths, journal, page, progress, truth or {})
+            located = locate_files(localizer, base, paths[len(journal.done) :], children)
+            rows = _journaled(located, paths, journal, page, progress, truth or {})
             if page is not None:
                 page.finish(f"{len(rows)} pictures of “{base.name}” were searched among {len(localizer.vid)} views.")
             write_csv(whole.staged(out), MATCH_COLUMNS, rows)
@@ -102,21 +106,19 @@ def _page(folder: Path, localizer: Localizer, journal: Journal) -> MatchReport:
     return page
 
 
-def _located(
-    localizer: Localizer,
-    base: Path,
+def _journaled(
+    located: Iterable[tuple[dict[str, Any], Location | None]],
     paths: list[Path],
     journal: Journal,
     page: MatchReport | None,
     progress: Progress,
     truth: dict[str, str],
 ) -> list[dict[str, Any]]:
-    """A row a picture: those of the journal, then the others, which are added to it."""
+    """A row a picture: those of the journal, then the others as they are located, which are added to it."""
     rows = [entry["row"] for entry in journal.done]
     with progress(len(paths), "pictures") as advance:
         advance(len(rows))
-        left = paths[len(rows) :]
-        for path, (row, location) in zip(left, locate_files(localizer, base, left), strict=True):
+        for path, (row, location) in zip(paths[len(rows) :], located, strict=True):
             rows.append(row)
             if page is not None:
                 page.add(row, location, _readable(path), truth.get(row["image"]))

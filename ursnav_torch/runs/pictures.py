@@ -3,6 +3,7 @@
 import glob
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import IMAGE_SUFFIXES, read_image
 from ursnav_torch.files import natural_key
 from ursnav_torch.localization.answers import Location
-from ursnav_torch.localization.locate import Localizer
+from ursnav_torch.localization.locate import Again, Localizer
+from ursnav_torch.processes import in_order
 from ursnav_torch.vid import pose_cells
 
 
@@ -39,17 +41,38 @@ def find_images(where: str) -> tuple[Path, list[Path]]:
 
 
 def locate_files(
-    localizer: Localizer, base: Path, paths: list[Path]
+    localizer: Localizer, base: Path, paths: list[Path], children: int = 0
 ) -> Iterator[tuple[dict[str, Any], Location | None]]:
-    """A row of `MATCH_COLUMNS` and the location of every picture; one that cannot be located has an ``error``."""
-    for path in paths:
-        row: dict[str, Any] = {"image": path.relative_to(base).as_posix()}
-        try:
-            location = localizer.locate(read_image(path))
-        except (FeatureError, InputError) as error:
-            yield row | {"error": str(error)}, None
-        else:
-            yield row | match_row(location), location
+    """A row of `MATCH_COLUMNS` and the location of every picture; one that cannot be located has an ``error``.
+
+    Args:
+        localizer: for pictures taken through its VID's lens.
+        base: folder that the rows' names are relative to.
+        paths: the pictures.
+        children: processes beside this one that locate while the caller does something else; their VID is the one
+            in the localizer's folder.
+    """
+    make = partial(_Locating, localizer.again(), base) if children else lambda: partial(_located, localizer, base)
+    yield from in_order(make, paths, children)
+
+
+class _Locating:
+    """Called with a picture's path: its row and location, see `locate_files`."""
+
+    def __init__(self, again: Again, base: Path) -> None:
+        self._localizer, self._base = again.localizer(), base
+
+    def __call__(self, path: Path) -> tuple[dict[str, Any], Location | None]:
+        return _located(self._localizer, self._base, path)
+
+
+def _located(localizer: Localizer, base: Path, path: Path) -> tuple[dict[str, Any], Location | None]:
+    row: dict[str, Any] = {"image": path.relative_to(base).as_posix()}
+    try:
+        location = localizer.locate(read_image(path))
+    except (FeatureError, InputError) as error:
+        return row | {"error": str(error)}, None
+    return row | match_row(location), location
 
 
 def match_row(location: Location) -> dict[str, Any]:

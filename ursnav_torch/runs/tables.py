@@ -1,6 +1,7 @@
-"""Tables that runners print."""
+"""What runners print: tables, and the steps of a long job with how long each took."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 from rich.console import Console
 from rich.table import Table
@@ -28,3 +29,33 @@ def print_scores(scores: Sequence[PresetScore], title: str) -> None:
 def share(part: int, whole: int) -> str:
     """``22/24 = 92 %``."""
     return f"{part}/{whole} = {100 * part / whole:.0f} %" if whole else "-"
+
+
+class Steps:
+    """Numbered steps of a job.
+
+    Args:
+        count: how many there will be.
+        clock: seconds.
+    """
+
+    def __init__(self, count: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self.count, self._clock = count, clock
+        self._number, self._began_s = 0, self._clock()
+        self._step_s = self._began_s
+
+    def begin(self, what: str) -> None:
+        """Say what comes next; the step before ends."""
+        self._end()
+        self._number, self._step_s = self._number + 1, self._clock()
+        print(f"{self._number}/{self.count} {what} ...", flush=True)
+
+    def end(self) -> float:
+        """The last step ends; the seconds of all."""
+        self._end()
+        self._number = 0
+        return self._clock() - self._began_s
+
+    def _end(self) -> None:
+        if self._number:
+            print(f"    {self._clock() - self._step_s:.0f} s", flush=True)

@@ -244,9 +244,7 @@ class Tracker:
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
         aligned, places = refined.T_kidney_camera, likeliest_places(found)
-        return Tracked(
-            TRACKING, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places
-        )
+        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places)
 
     def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:
         """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""

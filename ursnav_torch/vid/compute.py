@@ -4,13 +4,11 @@ Both run the same functions on the same tasks, one thread each, so what they wri
 """
 
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -18,6 +16,7 @@ import torch
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.extras import import_extra
+from ursnav_torch.processes import start_worker
 from ursnav_torch.vid.store import package_version
 
 Result = TypeVar("Result")
@@ -47,7 +46,7 @@ class LocalCompute:
                 for task in tasks:
                     yield work(shared, *task)
             return
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
             pending = {pool.submit(work, shared, *task) for task in tasks}
             try:
                 yield from _as_they_end(pending)
@@ -164,20 +163,6 @@ def _as_they_end(pending: set[Future[Result]]) -> Iterator[Result]:
         done, pending = wait(pending, return_when=FIRST_COMPLETED)
         for future in done:
             yield future.result()
-
-
-def _start_worker() -> None:
-    """One thread a worker; the first process alone answers Ctrl-C, and no worker outlives it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 @contextmanager

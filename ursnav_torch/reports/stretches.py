@@ -15,7 +15,7 @@ SURE, UNSURE = "sure", "unsure"
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Stretch:
     """A stretch of time, seconds from the record's beginning.
 
     Attributes:
@@ -34,15 +34,15 @@ class Moment:
     confidence: float
 
 
-def session_moments(replay: Replay) -> list[Moment]:
+def session_stretches(replay: Replay) -> list[Stretch]:
     """The stretches of a record that was navigated; none of one that was not."""
     first = next(replay.events(), None)
     begun_s = first.stamp.t_mono_s if first is not None else 0.0
     rows = [(r.frame, r.row) for r in replay.results() if "state" in r.row]
-    return moments_of([row["t_s"] - begun_s for _, row in rows], rows)
+    return stretches_of([row["t_s"] - begun_s for _, row in rows], rows)
 
 
-def moments_of(t_s: Sequence[float], rows: Sequence[tuple[int, dict[str, Any]]]) -> list[Moment]:
+def stretches_of(t_s: Sequence[float], rows: Sequence[tuple[int, dict[str, Any]]]) -> list[Stretch]:
     """Stretches in which kind and calyx stay the same.
 
     Args:
@@ -57,7 +57,7 @@ def moments_of(t_s: Sequence[float], rows: Sequence[tuple[int, dict[str, Any]]])
         kind, calyx = kinds[begun]
         last = t_s[i - 1] if i == len(rows) else min(t_s[i], t_s[i - 1] + LONGEST_GAP_S)
         least = min(float(row.get("confidence") or 0.0) for _, row in rows[begun:i])
-        found.append(Moment(float(t_s[begun]), float(last), kind, calyx, rows[(begun + i - 1) // 2][0], least))
+        found.append(Stretch(float(t_s[begun]), float(last), kind, calyx, rows[(begun + i - 1) // 2][0], least))
         begun = i
     return found
 

@@ -1,0 +1,88 @@
+"""Work ahead in child processes: results in the order of the tasks, the same with any number of processes."""
+
+import os
+import pickle
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context, parent_process
+from typing import Any, TypeVar
+
+import torch
+
+from ursnav_torch.errors import UrsnavError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+#: Tasks that wait for each child, so that it never waits for one.
+_AHEAD = 8
+_work: Callable[[Any], Any] | None = None
+
+
+def spare_children(workers: int | None = None) -> int:
+    """How many children may work beside this process: all cores but one when ``workers`` is None."""
+    return max((workers or os.cpu_count() or 1) - 1, 0)
+
+
+def in_order(make: Callable[[], Callable[[Task], Result]], tasks: Iterable[Task], children: int) -> Iterator[Result]:
+    """Yield ``make()(task)`` of every task, in their order.
+
+    Args:
+        make: called once in every process, which it must be possible to send it to.
+        tasks: taken as they are needed: what makes them runs here while the children work.
+        children: processes beside this one; 0 does all of it here.
+
+    Raises:
+        UrsnavError: a child ended before its work did.
+    """
+    if children <= 0:
+        yield from map(make(), tasks)
+        return
+    context = get_context("spawn")
+    with ProcessPoolExecutor(children, mp_context=context, initializer=_begin, initargs=(pickle.dumps(make),)) as pool:
+        waiting: deque[Future[bytes]] = deque()
+        try:
+            for task in tasks:
+                waiting.append(pool.submit(_do, pickle.dumps(task)))
+                if len(waiting) > _AHEAD * children:
+                    yield pickle.loads(waiting.popleft().result())
+            while waiting:
+                yield pickle.loads(waiting.popleft().result())
+        except BrokenProcessPool:
+            raise UrsnavError(
+                "A process that shared the work ended before its time; was there too little memory? workers=1 does "
+                "all of it in one."
+            ) from None
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def start_worker() -> None:
+    """One thread a worker; the first process alone answers Ctrl-C, and no worker outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+# Bytes and no tensors go from process to process: PyTorch would send those by shared memory, which may be scarce.
+def _begin(make: bytes) -> None:
+    global _work
+    start_worker()
+    _work = pickle.loads(make)()
+
+
+def _do(task: bytes) -> bytes:
+    assert _work is not None
+    return pickle.dumps(_work(pickle.loads(task)))
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
