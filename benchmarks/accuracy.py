@@ -92,7 +92,7 @@ def ours(
 
 def gray_correlation(vid: Vid) -> Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]:
     """Rival: normalized cross-correlation of the gray pictures, 64 x 64."""
-    views = np.stack([_thumb(read_image(vid.image_path(i))) for i in range(len(vid))])
+    views = np.stack([_thumb(picture) for picture in vid.pictures()])
 
     def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:
         best = int((views @ _thumb(image)).argmax())
@@ -105,7 +105,7 @@ def keypoints(detector: cv2.Feature2D, norm: int) -> Method:
     """Rival: local features with Lowe's ratio test of 0.75; the view with most matches."""
 
     def prepare(vid: Vid) -> Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]:
-        stored = [detector.detectAndCompute(read_image(vid.image_path(i)), None)[1] for i in range(len(vid))]
+        stored = [detector.detectAndCompute(picture, None)[1] for picture in vid.pictures()]
         matcher = cv2.BFMatcher(norm)
 
         def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:

@@ -124,8 +124,8 @@ def _filled(name: str, call: Callable[..., Any]) -> Callable[[Any], Any]:
 
 
 def _to_the_end(found: Any) -> Any:
-    """Read what a reader left for later: events of a record, moments of a video."""
-    for later in ("events", "moments", "results"):
+    """Read what a reader left for later: events of a record, moments of a video, pictures of a VID."""
+    for later in ("events", "moments", "results", "pictures"):
         if callable(getattr(found, later, None)):
             list(itertools.islice(iter(getattr(found, later)()), 100))
     return found

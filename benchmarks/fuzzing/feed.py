@@ -26,16 +26,25 @@ from ursnav_torch.vid.store import write_description
 HANG_S, WAIT_S = 5.0, 60.0
 
 
+#: How often a seed is taken that the reader accepts as it is: from the others most inputs get no farther than a header.
+GOOD = 0.7
+
+
 class HangError(BaseException):
     """An input took longer than is allowed."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """What came of one reader's inputs; ``findings`` are texts by what tells them apart, with the input's number."""
+    """What came of one reader's inputs; ``findings`` are texts by what tells them apart, with the input's number.
+
+    ``altered`` counts VIDs that were changed and not sealed anew, ``accepted_altered`` those of them that were read.
+    """
 
     inputs: int = 0
     refused: int = 0
+    altered: int = 0
+    accepted_altered: int = 0
     findings: dict[str, tuple[int, str]] = field(default_factory=dict)
     slowest_s: float = 0.0
 
@@ -54,18 +63,21 @@ class Feeder:
         self.reader, self.seed, self.tally = reader, seed, Tally()
         self._work = work / reader.name
         self._work.mkdir(parents=True, exist_ok=True)
-        self._places = self._fitting([*sorted(seeds.iterdir()), *sorted(p for p in seeds.glob("*/*") if p.is_dir())])
+        self._files: dict[Path, list[Path]] = {}
+        self._bytes: dict[Path, bytes] = {}
+        places = [*sorted(seeds.iterdir()), *sorted(p for p in seeds.glob("*/*") if p.is_dir())]
+        self._good, self._places = self._fitting(places)
 
-    def _fitting(self, places: list[Path]) -> list[Path]:
-        """The seeds that the reader takes as they are, and those of the same endings; all where it takes none."""
+    def _fitting(self, places: list[Path]) -> tuple[list[Path], list[Path]]:
+        """Seeds that the reader takes as they are; and they with those of the same endings, all where it takes none."""
         if self.reader.takes == "bytes":
             small = [path for path in places if path.is_file() and path.stat().st_size < 1 << 16]
             good = [path for path in small if self._takes(path)]
-            return good + [path for path in small if path.suffix == ".wire" and path not in good]
+            return good, good + [path for path in small if path.suffix == ".wire" and path not in good]
         good = [path for path in places if not path.name.startswith("known_") and self._takes(path)]
         endings = {path.suffix for path in good if path.is_file()}
         fitting = good + [p for p in places if p not in good and p.is_file() and p.suffix in endings]
-        return fitting or places
+        return good, fitting or places
 
     def _takes(self, path: Path) -> bool:
         try:
@@ -78,22 +90,31 @@ class Feeder:
     def input(self, number: int) -> tuple[Path, Path, bytes, bool]:
         """Input ``number``: its seed, the file in it to be changed, the bytes, and whether checksums are made anew."""
         rng = random.Random(f"{self.seed}/{self.reader.name}/{number}")
-        place = rng.choice(self._places)
-        file = place if place.is_file() else rng.choice(sorted(p for p in place.rglob("*") if p.is_file()))
-        others = [p.read_bytes() for p in rng.sample(self._places, min(2, len(self._places))) if p.is_file()]
-        return place, file, mutate(file.read_bytes(), others, rng), rng.random() < 0.5
+        place = rng.choice(self._good if self._good and rng.random() < GOOD else self._places)
+        if place not in self._files:
+            self._files[place] = sorted(p for p in place.rglob("*") if p.is_file()) if place.is_dir() else [place]
+        file = rng.choice(self._files[place])
+        others = [self._data(p) for p in rng.sample(self._places, min(2, len(self._places))) if not p.is_dir()]
+        return place, file, mutate(self._data(file), others, rng), rng.random() < 0.5
+
+    def _data(self, path: Path) -> bytes:
+        """The bytes of a seed, read once."""
+        if path not in self._bytes:
+            self._bytes[path] = path.read_bytes()
+        return self._bytes[path]
 
     def feed(self, number: int) -> None:
         """Give one input to the reader and note what came of it."""
         place, file, data, seal = self.input(number)
-        start = time.process_time()
-        altered = data != file.read_bytes()
+        start, sealed = time.process_time(), False
+        is_vid = place.name == "vid" and self.reader.name.endswith("load_vid")
+        altered = data != self._data(file)
         try:
             with self._laid_out(place, file, data, seal) as (target, sealed), _alarm():
                 self.reader.call(target)
-            if place.is_dir() and self.reader.name.endswith("load_vid") and altered and not sealed:
-                if "images" not in file.parts:
-                    self._found(number, "altered and accepted", f"{file.name} was altered, and the VID was loaded")
+            if is_vid and altered and not sealed:
+                self.tally.accepted_altered += 1
+                self._found(number, "altered and accepted", f"{file.name} was altered, and the VID was loaded")
         except UrsnavError:
             self.tally.refused += 1
         except (Exception, HangError) as error:
@@ -103,6 +124,7 @@ class Feeder:
             self._found(
                 number, f"{type(error).__name__} {where}", f"{type(error).__name__}: {error}"[:200] + f" ({where})"
             )
+        self.tally.altered += is_vid and altered and not sealed
         self.tally.inputs += 1
         self.tally.slowest_s = max(self.tally.slowest_s, time.process_time() - start)
 
@@ -128,9 +150,9 @@ class Feeder:
             try:
                 yield target, sealed
             finally:
-                inside.write_bytes(file.read_bytes())
+                inside.write_bytes(self._data(file))
                 if sealed:
-                    shutil.copy(place / "vid.json", target / "vid.json")
+                    (target / "vid.json").write_bytes(self._data(place / "vid.json"))
 
 
 def _seal(vid: Path) -> bool:
@@ -145,22 +167,29 @@ def _seal(vid: Path) -> bool:
     return True
 
 
-@contextlib.contextmanager
-def _alarm() -> Iterator[None]:
-    """Raise `HangError` after `HANG_S` of work or `WAIT_S` of waiting; end the process where even that is held up."""
+def watch() -> None:
+    """Make timers of this process raise `HangError`; for the rest of its life."""
 
     def ring(signum: int, frame: FrameType | None) -> None:
         raise HangError("longer than is allowed")
 
     signal.signal(signal.SIGPROF, ring)
     signal.signal(signal.SIGALRM, ring)
+
+
+def watch_turn() -> None:
+    """End the process where not even `HangError` can be raised: call it every few seconds of feeding."""
+    faulthandler.dump_traceback_later(2 * WAIT_S, exit=True)
+
+
+@contextlib.contextmanager
+def _alarm() -> Iterator[None]:
+    """Raise `HangError` after `HANG_S` of work or `WAIT_S` of waiting; `watch` must have been called."""
     signal.setitimer(signal.ITIMER_PROF, HANG_S)
     signal.setitimer(signal.ITIMER_REAL, WAIT_S)
-    faulthandler.dump_traceback_later(2 * WAIT_S, exit=True)
     try:
         yield
     finally:
-        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
 

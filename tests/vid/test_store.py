@@ -95,3 +95,40 @@ def test_the_features_are_readable_by_whom_the_umask_lets_read(vid: Vid, tmp_pat
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "f.safetensors").stat().st_mode) == 0o666 & ~mask
+
+
+def test_a_picture_is_proven_when_it_is_read(vid: Vid, tmp_path: Path) -> None:
+    folder = shutil.copytree(vid.folder, tmp_path / "vid")
+    path = folder / "images" / "000003.png"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    loaded = load_vid(folder)  # opening does not read the pictures
+    np.testing.assert_array_equal(loaded.read_picture(2), vid.read_picture(2))
+    with pytest.raises(InputError, match=r"000003\.png was changed after the VID was built"):
+        loaded.read_picture(3)
+    shutil.copy(folder / "images" / "000002.png", path)  # a whole picture in the place of another
+    with pytest.raises(InputError, match="was changed"):
+        list(loaded.pictures())
+
+
+@pytest.mark.parametrize("change", ["exchanged", "fewer", "gone"])
+def test_the_pictures_checksums_are_under_the_vids_own(folder: Path, change: str) -> None:
+    path = folder / "images.sha256"
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join(lines[1:] if change == "fewer" else [lines[1], lines[0], *lines[2:]]), encoding="utf-8")
+    if change == "gone":
+        path.unlink()
+    with pytest.raises(InputError, match=r"images\.sha256"):
+        load_vid(folder)
+    if change != "gone":
+        _seal(folder)
+        with pytest.raises(InputError, match="does not list the pictures of"):
+            load_vid(folder)
+
+
+def test_pictures_that_are_under_no_checksum_are_not_shown(folder: Path) -> None:
+    (folder / "images.sha256").unlink()
+    _seal(folder)
+    with pytest.raises(InputError, match="not under its checksums; build the VID again"):
+        load_vid(folder).read_picture(0)

@@ -3,7 +3,7 @@
 from ursnav_torch.features.base import NO_EDGES, NO_MAPS, NOTHING_BEFORE, EdgePoints, Extractor, Features
 from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.flatten import LocalPlane
-from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, read_image
+from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, image_from_bytes, read_image
 from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps, polar_valid
 from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
 from ursnav_torch.features.static import StillPixels, scene_of
@@ -26,6 +26,7 @@ __all__ = [
     "ThesisExtractor",
     "ThesisSettings",
     "check_image",
+    "image_from_bytes",
     "make_extractor",
     "polar_grid",
     "polar_maps",

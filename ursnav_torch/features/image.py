@@ -24,15 +24,22 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     Raises:
         InputError: missing, no regular file, empty, cut short, too large or not a picture.
     """
-    path = Path(path)
-    data = read_regular(path, "image", MOST_BYTES)
+    return image_from_bytes(read_regular(path, "image", MOST_BYTES), Path(path).name)
+
+
+def image_from_bytes(data: bytes, where: str) -> NDArray[np.uint8]:
+    """`read_image` for a file's bytes; ``where`` names it in errors.
+
+    Raises:
+        InputError: see `read_image`.
+    """
     if _cut_short(data):
-        raise InputError(f"The image {path.name} is cut short ({len(data)} bytes, its end is missing); copy it again.")
-    image = decode_picture(data, path.name)
+        raise InputError(f"The image {where} is cut short ({len(data)} bytes, its end is missing); copy it again.")
+    image = decode_picture(data, where)
     if image is None:
-        raise InputError(f"{path.name} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
+        raise InputError(f"{where} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
     if not np.isfinite(image).all():
-        raise InputError(f"{path.name} holds gray values that are not finite numbers; save it as 8 or 16 bits.")
+        raise InputError(f"{where} holds gray values that are not finite numbers; save it as 8 or 16 bits.")
     return _to_8_bit(image[..., :3] if image.ndim == 3 and image.shape[2] == 4 else image)
 
 

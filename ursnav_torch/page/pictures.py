@@ -5,7 +5,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import read_image
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
 
@@ -47,7 +46,7 @@ class PagePictures:
     def view(self, index: int) -> Picture:
         """The picture of one of the VID's views; drawn again where the VID was stored without pictures."""
         try:
-            return _rgb(read_image(self.vid.image_path(index)))
+            return _rgb(self.vid.read_picture(index))
         except InputError:
             return self.virtual(self.vid.T_kidney_camera[index])
 

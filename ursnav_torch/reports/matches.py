@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.features import EdgePoints, read_image
+from ursnav_torch.features import EdgePoints
 from ursnav_torch.files import write_image
 from ursnav_torch.localization import Location
 from ursnav_torch.reports.html import render_page
@@ -109,7 +109,7 @@ class MatchReport:
         return self.vid.calyx_name(int(self.vid.calyx[view])) or "passage"
 
     def _view(self, view: int) -> Picture:
-        return read_image(self.vid.image_path(view))
+        return self.vid.read_picture(view)
 
     def _view_edges(self, view: int) -> Picture:
         f, mask = self.vid.features, self.vid.features.mask[view]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.features import EdgePoints, read_image
+from ursnav_torch.features import EdgePoints
 from ursnav_torch.geometry import Array
 from ursnav_torch.rendering import Renderer
 from ursnav_torch.reports import draw_edges, draw_overview
@@ -34,7 +34,7 @@ def view_with_edges(vid: Vid, view: int) -> Picture:
     """A view of the VID (H, W, 3) with its edge points."""
     f, mask = vid.features, vid.features.mask[view]
     edges = EdgePoints(f.points[view][mask], f.direction[view][mask], f.weight[view][mask])
-    return draw_edges(read_image(vid.image_path(view)), edges, _ORANGE)
+    return draw_edges(vid.read_picture(view), edges, _ORANGE)
 
 
 def reference_pairs(o: Outcome, renderer: Renderer) -> Picture:

@@ -1,6 +1,7 @@
 """The virtual image database in memory."""
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,10 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
-from ursnav_torch.features import Extractor, Settings, make_extractor
+from ursnav_torch.features import Extractor, Settings, image_from_bytes, make_extractor
+from ursnav_torch.inputs import read_regular
 from ursnav_torch.kidney import NO_CALYX, Kidney, LumenDistance
+from ursnav_torch.pictures import MOST_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,7 @@ class Vid:
         folder: where it was loaded from.
         lumen: distances along the kidney's lumen, found when the VID was built.
         calibration: what the build learned about confidence from simulated queries; plain numbers.
+        picture_sums: sha256 of every view's picture; none where it was built before they were kept.
     """
 
     kidney: Kidney
@@ -61,6 +65,7 @@ class Vid:
     folder: Path
     lumen: LumenDistance
     calibration: dict[str, object] | None = None
+    picture_sums: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.T_kidney_camera)
@@ -92,6 +97,24 @@ class Vid:
     def image_path(self, view: int) -> Path:
         """The picture of one view."""
         return self.folder / "images" / image_name(view)
+
+    def read_picture(self, view: int) -> NDArray[np.uint8]:
+        """The picture of one view (H, W) or (H, W, 3), proven by its checksum.
+
+        Raises:
+            InputError: it is not there, was changed, or the VID was built before pictures were under its checksums.
+        """
+        path = self.image_path(view)
+        if not self.picture_sums:
+            raise InputError(f"The pictures of the VID {self.folder} are not under its checksums; build the VID again.")
+        data = read_regular(path, "picture", MOST_BYTES)
+        if hashlib.sha256(data).hexdigest() != self.picture_sums[view]:
+            raise InputError(f"{path} was changed after the VID was built; build the VID again.")
+        return image_from_bytes(data, path.name)
+
+    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+        """All pictures in turn; raises as `read_picture` does."""
+        return map(self.read_picture, range(len(self)))
 
 
 def image_name(view: int) -> str:

@@ -1,6 +1,5 @@
 """VIDs from and to elsewhere: pictures, poses as CSV, point sets as text, as the thesis kept them (§3.4)."""
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import POSE_COLUMNS, UNITY_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, whole_folder, write_csv
+from ursnav_torch.files import check_output, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.tables import Row, number, read_csv
@@ -121,7 +120,9 @@ def export_thesis(vid: Vid, folder: Path, mm_per_unit: float = THESIS_MM_PER_UNI
             f"The VID {vid.folder} lacks {len(missing)} of its pictures, {vid.image_path(missing[0])} first."
         )
     with whole_folder(folder, overwrite) as work:
-        shutil.copytree(vid.folder / "images", work / "images")
+        (work / "images").mkdir()
+        for view, picture in enumerate(vid.pictures()):
+            write_image(work / "images" / image_name(view), picture)
         (work / "points").mkdir()
         for view, (points, mask) in enumerate(zip(vid.features.points, vid.features.mask, strict=True)):
             np.savetxt(work / "points" / f"{view:06d}.txt", points[mask].numpy(), "%.3f")

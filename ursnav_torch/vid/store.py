@@ -16,27 +16,32 @@ from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.features import settings_from_dict, settings_to_dict
 from ursnav_torch.files import write_csv
 from ursnav_torch.geometry import quaternion_from_transform, transform_from_quaternion
+from ursnav_torch.inputs import MOST_TEXT_BYTES, read_regular
 from ursnav_torch.kidney import Kidney, read_calyces, read_centerline, write_calyces, write_centerline
 from ursnav_torch.records import read_json
 from ursnav_torch.tables import Row, number, read_csv
-from ursnav_torch.vid.base import Vid
+from ursnav_torch.vid.base import Vid, image_name
 from ursnav_torch.vid.draw import check_features, load_features, save_features
 from ursnav_torch.vid.lumen_file import load_lumen, save_lumen
 
 #: Another format has features that are no longer comparable, or lacks what a VID holds now.
 FORMAT = 3
 _FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "lumen.safetensors", "views.csv", "features.safetensors")
+#: Checksums of the pictures, as ``sha256sum -c`` reads them: under `vid.json`'s own, and each checked when it is read.
+_PICTURES = "images.sha256"
 
 
 def save_vid(vid: Vid, folder: Path) -> None:
-    """Write everything but the pictures of ``vid`` into ``folder``, `vid.json` last."""
-    names = [c.name for c in vid.kidney.calyces]
+    """Write everything but the pictures of ``vid``, which lie there, into ``folder``, `vid.json` last."""
+    calyces = [c.name for c in vid.kidney.calyces]
     vid.kidney.mesh.export(folder / "kidney.stl")
     write_calyces(folder / "calyces.csv", vid.kidney.calyces, vid.kidney.pelvis_mm)
-    write_centerline(folder / "centerline.csv", vid.kidney.centerline, names)
+    write_centerline(folder / "centerline.csv", vid.kidney.centerline, calyces)
     write_csv(folder / "views.csv", VIEW_COLUMNS, view_rows(vid))
     save_features(folder / "features.safetensors", vid.features)
     save_lumen(folder / "lumen.safetensors", vid.lumen)
+    names = [f"images/{image_name(view)}" for view in range(len(vid))]
+    (folder / _PICTURES).write_text("".join(f"{_sha256(folder / name)}  {name}\n" for name in names), encoding="utf-8")
     write_description(folder, describe(vid))
 
 
@@ -58,14 +63,15 @@ def write_description(folder: Path, description: dict[str, Any]) -> None:
 
     The features' is checked at every start, too: 0.5 GB/s or more, a fraction of what reading them takes.
     """
-    description = description | {"sha256": {name: _sha256(folder / name) for name in _FILES}}
+    names = [*_FILES, _PICTURES] if (folder / _PICTURES).exists() else _FILES
+    description = description | {"sha256": {name: _sha256(folder / name) for name in names}}
     description["checksum"] = _checksum(description)
     text = json.dumps(description, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "vid.json").write_text(text + "\n", encoding="utf-8")
 
 
 def load_vid(path: str | Path) -> Vid:
-    """Open a VID folder, proven whole by its checksums; the features are memory-mapped.
+    """Open a VID folder, proven whole by its checksums; features are memory-mapped, pictures proven when they are read.
 
     Raises:
         InputError: not a VID, half-written, changed after it was built, or of another format version.
@@ -81,7 +87,8 @@ def load_vid(path: str | Path) -> Vid:
     features = load_features(folder / "features.safetensors")
     check_features(features, len(rows), settings.points, f"{folder / 'features.safetensors'}")
     lumen = load_lumen(folder / "lumen.safetensors", kidney)
-    return Vid(kidney, camera, settings, T, calyx, features, folder, lumen, description.get("calibration"))
+    sums = _picture_sums(folder / _PICTURES, len(rows)) if _PICTURES in description["sha256"] else ()
+    return Vid(kidney, camera, settings, T, calyx, features, folder, lumen, description.get("calibration"), sums)
 
 
 def view_rows(vid: Vid) -> list[dict[str, Any]]:
@@ -145,12 +152,21 @@ def _read_description(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} was changed after the VID was built, so it no longer fits its features; build it again."
         )
-    for name in _FILES:
+    for name in [*_FILES, _PICTURES] if _PICTURES in files else _FILES:
         if not (folder / name).exists():
             raise InputError(f"The VID {folder} lacks {name}; copy it again or build it again.")
         if _sha256(folder / name) != files.get(name):
             raise InputError(f"{folder / name} was changed after the VID was built; build the VID again.")
     return dict(description)
+
+
+def _picture_sums(path: Path, views: int) -> tuple[str, ...]:
+    """The sha256 of every view's picture, by number."""
+    lines = read_regular(path, "list of checksums", MOST_TEXT_BYTES).decode("ascii", "replace").splitlines()
+    found = [line.partition("  ") for line in lines]
+    if [name for _, _, name in found] != [f"images/{image_name(view)}" for view in range(views)]:
+        raise InputError(f"{path} does not list the pictures of {views} views, in order; build the VID again.")
+    return tuple(digest for digest, _, _ in found)
 
 
 def _calyx_of_rows(rows: list[Row], kidney: Kidney, path: Path) -> np.ndarray:
