@@ -50,6 +50,7 @@ def _fed(names: list[str], scratch: Path, settings: dict[str, Any]) -> tuple[dic
     context = multiprocessing.get_context("spawn")
     until = time.monotonic() + float(settings["seconds"])
     tallies, peak, deaths = {name: Tally() for name in names}, 0.0, list[str]()
+    told_s = time.monotonic()
     while time.monotonic() < until and len(deaths) < 100 and not _enough(tallies, settings):
         ours, theirs = context.Pipe()
         now = context.Array("q", [0, 0])
@@ -61,7 +62,7 @@ def _fed(names: list[str], scratch: Path, settings: dict[str, Any]) -> tuple[dic
         while True:
             try:
                 tallies, peak_now = ours.recv()
-                peak = max(peak, peak_now)
+                peak, told_s = max(peak, peak_now), _tell(tallies, told_s)
             except EOFError:
                 break
         process.join()
@@ -76,6 +77,15 @@ def _enough(tallies: dict[str, Tally], settings: dict[str, Any]) -> bool:
     """Whether all readers together, and each of them, were given what ``inputs`` and ``least`` ask for."""
     counts = [tally.inputs for tally in tallies.values()]
     return settings["inputs"] > 0 and sum(counts) >= settings["inputs"] and min(counts) >= settings["least"]
+
+
+def _tell(tallies: dict[str, Tally], told_s: float) -> float:
+    """Say on standard error, once a minute, how far it is; when that was last done."""
+    if time.monotonic() - told_s < 60:
+        return told_s
+    counts, found = [t.inputs for t in tallies.values()], sum(len(t.findings) for t in tallies.values())
+    print(f"{sum(counts)} inputs, {min(counts)} at least a reader, {found} findings", file=sys.stderr, flush=True)
+    return time.monotonic()
 
 
 def _work(

@@ -60,10 +60,14 @@ def _live(config: Any, out: Path) -> None:
 
 def _vid(config: Any, out: Path, overwrite: bool, steps: Any) -> tuple[Any, Any, Any]:
     """The demo's VID, built unless it is there and may stay, what draws in it, and the plan of its views."""
+    from functools import partial
+
     from hydra.utils import instantiate
+    from omegaconf import OmegaConf
 
     from ursnav_torch.localization import learn_confidence
     from ursnav_torch.processes import spare_children
+    from ursnav_torch.runs.demo import demo_vid
     from ursnav_torch.vid import build_vid, load_vid
 
     folder = out.with_name(out.name + "_vid")
@@ -78,11 +82,15 @@ def _vid(config: Any, out: Path, overwrite: bool, steps: Any) -> tuple[Any, Any,
 
     steps.begin("Drawing views of the kidney, and reducing each to what can be compared")
     kidney, camera, features = (instantiate(config[choice]) for choice in ("kidney", "camera", "features"))
-    vid = build_vid(
-        kidney, camera, features, make_renderer, plan, folder,
+    build = partial(
+        build_vid, kidney, camera, features, make_renderer, plan,
         overwrite=overwrite, workers=config.workers, progress=progress, learn=learn,
     )  # fmt: skip
-    return vid, make_renderer, plan
+    if config.live:
+        return build(folder), make_renderer, plan
+    kept: Any = OmegaConf.to_container(config, resolve=True)
+    made_for = {name: value for name, value in kept.items() if name not in ("out", "overwrite", "workers")}
+    return demo_vid(build, out, made_for, overwrite), make_renderer, plan
 
 
 if __name__ == "__main__":

@@ -7,8 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+#: Pictures to be matched and tracked.
+PICTURES = 4
 #: A small VID: seconds to build.
-_SMALL = ("camera.width=64", "camera.height=64", "views.views_per_calyx=6", "views.passage_views=6", "kidney.calyces=6")
+_SMALL = ("camera.width=64", "camera.height=64", "views.views_per_calyx=4", "views.passage_views=4", "kidney.calyces=6")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ def make_inputs(folder: Path, run: Callable[[Job, Path], int]) -> None:
     if run(Job("build_vid", (*_SMALL, "calibrate=false", "workers=1"), "vid"), folder) != 0:
         raise RuntimeError(f"the VID could not be built, see {folder}")
     (folder / "pictures").mkdir()
-    for number in range(8):
+    for number in range(PICTURES):
         picture = cv2.imread(str(folder / "vid" / "images" / f"{4 * number:06d}.png"))
         cv2.imwrite(str(folder / "pictures" / f"{number}.png"), picture)
 

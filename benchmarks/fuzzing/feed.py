@@ -22,8 +22,8 @@ from ursnav_torch.errors import UrsnavError
 from ursnav_torch.vid.store import write_description
 
 #: An input that takes so long hangs, in seconds of this process's own time, which a busy machine does not stretch; and
-#: in seconds on the wall, for those that wait.
-HANG_S, WAIT_S = 5.0, 60.0
+#: in seconds on the wall, for those that wait. A turn of many inputs that takes ``DEAD_S`` cannot even be interrupted.
+HANG_S, WAIT_S, DEAD_S = 5.0, 120.0, 1200.0
 
 
 #: How often a seed is taken that the reader accepts as it is: from the others most inputs get no farther than a header.
@@ -179,7 +179,7 @@ def watch() -> None:
 
 def watch_turn() -> None:
     """End the process where not even `HangError` can be raised: call it every few seconds of feeding."""
-    faulthandler.dump_traceback_later(2 * WAIT_S, exit=True)
+    faulthandler.dump_traceback_later(DEAD_S, exit=True)
 
 
 @contextlib.contextmanager

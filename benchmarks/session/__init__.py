@@ -2,7 +2,8 @@
 
     python -m benchmarks.session              # ten minutes and the replay
     python -m benchmarks.session minutes=1
-    python -m benchmarks.session minutes=30 faults_every_s=10   # a soak: a fault every ten seconds, nothing is located
+    python -m benchmarks.session minutes=30 faults_every_s=10   # a soak: a fault every ten seconds, nothing is located;
+                                                                # kept as suite "soak"
 
 The scope flies through the phantom by its pilot, at 15 pictures, 40 EM samples and 50 commands a second; all of it is
 recorded, pictures are located in a VID of the phantom, and the record is replayed and located again.
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.session.faults import Faults, Operator
+from benchmarks.session.watching import Watching
 from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.devices import Frame, RobotLight
@@ -59,7 +61,7 @@ RATES_HZ = {"Frame": 15.0, "TrackerSample": 40.0, "CommandSample": 50.0}
 def main(arguments: list[str]) -> None:
     """Run the session, the replay, and print and keep the figures."""
     settings = overrides(SETTINGS, arguments)
-    report = Report("session", settings)
+    report = Report("soak" if settings["faults_every_s"] else "session", settings)
     with tempfile.TemporaryDirectory() as folder:
         (_soak if settings["faults_every_s"] else _measure)(report, settings, Path(folder))
     report.finish(settings["out"])
@@ -106,11 +108,17 @@ def _soak(report: Report, settings: dict[str, Any], folder: Path) -> None:
         if not looks or time.monotonic() - looks[-1][0] >= 1.0:
             looks.append((time.monotonic(), resident_mb(), threading.active_count(), len(os.listdir("/proc/self/fd"))))
 
-    with replace(rig, gamepad=operator) as rig, Recorder(folder / "record", settings) as recorder:
+    with (
+        Watching(kidney, lens, folder / "vid") as watching,
+        replace(rig, gamepad=operator) as rig,
+        Recorder(folder / "record", settings) as recorder,
+    ):
         live = Live(rig, duration_s=60 * settings["minutes"])
-        with Faults(rig, settings["faults_every_s"]) as faults:
-            summary = run_session(live, None, [recorder.write, look])
+        with Faults(rig, settings["faults_every_s"], watching.reload) as faults:
+            summary = run_session(live, None, [recorder.write, look, watching.show])
     _add_soak(report, summary, faults, looks)
+    report.add("page", "opened", "times", [float(watching.reloads)])
+    report.add("page", "messages that arrived", "messages", [float(watching.heard)])
     report.add("operator", "stops acknowledged", "times", [float(operator.acknowledged)])
     report.add("operator", "lost places confirmed", "times", [float(operator.confirmed)])
     replay = Replay(folder / "record", speed=0)

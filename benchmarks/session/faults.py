@@ -50,13 +50,15 @@ class Faults:
     Args:
         rig: simulated camera, OpenIGTLink tracker and GRBL robot.
         every_s: seconds between faults.
+        reload: opens the page that shows the session anew.
         seed: of their order.
     """
 
-    def __init__(self, rig: Rig, every_s: float, seed: int = 0) -> None:
+    def __init__(self, rig: Rig, every_s: float, reload: Callable[[], None], seed: int = 0) -> None:
         assert isinstance(rig.robot, SimulatedGrblRobot) and isinstance(rig.tracker, SimulatedOpenIgtlTracker)
         assert isinstance(rig.camera, TwinCamera)
         self._robot, self._tracker, self._camera, self._every_s = rig.robot, rig.tracker, rig.camera, every_s
+        self._reload_page = reload
         self._random, self._end = random.Random(seed), threading.Event()
         self.planted: dict[str, int] = {}
         self.sent = 0
@@ -83,6 +85,7 @@ class Faults:
         kinds: list[Callable[[], None]] = [
             self._nan_pose, self._zero_pose, self._no_rotation, self._garbage, self._hang_up, self._silent_tracker,
             self._silent_board, self._board_reset, self._board_garbage, self._camera_mistake,
+            self._reload_page_now,
         ]  # fmt: skip
         while not self._end.wait(self._every_s):
             fault = self._random.choice(kinds)
@@ -122,6 +125,9 @@ class Faults:
 
     def _board_garbage(self) -> None:
         os.write(self._robot.board_port._master, self._random.randbytes(60) + b"\r\n")
+
+    def _reload_page_now(self) -> None:
+        self._reload_page()
 
     def _camera_mistake(self) -> None:
         read = self._camera.read

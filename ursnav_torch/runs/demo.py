@@ -1,7 +1,8 @@
 """The whole job without data or devices: a phantom's VID, simulated pictures, matches, a page."""
 
+import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,15 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.columns import TRUTH_COLUMNS
-from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, write_image
+from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, write_image, write_json
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import LEARNED_FROM, Localizer, Query, queries_from
+from ursnav_torch.locks import locked, partial_path
 from ursnav_torch.processes import in_order, spare_children
+from ursnav_torch.records import read_json
 from ursnav_torch.runs.match import match_images
-from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views, pose_cells
+from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, load_vid, plan_views, pose_cells
 
 #: Pictures drawn in one go: every kind of faults has its turn in them.
 DRAWN_AT_ONCE = 32
+#: What a demo was made for; it stays in the result.
+_MADE_FOR = "demo.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,32 @@ class PresetScore:
     direction_deg: float
 
 
+def demo_vid(build: Callable[[Path], Vid], out: Path, settings: Mapping[str, Any], overwrite: bool = False) -> Vid:
+    """The demo's VID, beside its folder: built, or what the very same demo had built before it was killed.
+
+    Args:
+        build: builds it in a folder, and refuses one that stands there unless it may replace it.
+        out: the demo's folder; ``demo.json`` in its work in progress says what the VID beside it was built for.
+        settings: plain data that changes when the demo does.
+        overwrite: whether ``build`` replaces what stands there.
+
+    Raises:
+        InputError: a VID of something else stands there; another process does this demo.
+    """
+    path, mark = out.with_name(out.name + "_vid"), partial_path(out) / _MADE_FOR
+    plain = json.loads(json.dumps(settings))
+    with locked(out):
+        if path.exists() and mark.exists() and read_json(mark, "demo's settings") == plain:
+            return load_vid(path)
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            write_json(mark, plain)
+        vid = build(path)
+        if overwrite:  # not before: until then the VID of another call stood there
+            write_json(mark, plain)
+    return vid
+
+
 def run_demo(
     vid: Vid,
     make_renderer: MakeRenderer,
@@ -55,7 +86,8 @@ def run_demo(
 ) -> list[PresetScore]:
     """Draw pictures of the VID's kidney with sensor faults, locate them, and write all of it to a folder.
 
-    ``out`` gets ``images/``, ``truth.csv``, ``matches.csv`` and ``report/index.html``.
+    ``out`` gets ``images/``, ``truth.csv``, ``matches.csv`` and ``report/index.html``, beside the ``demo.json`` of
+    `demo_vid`.
 
     Args:
         vid: a VID.
