@@ -128,7 +128,7 @@ def _import_all() -> None:
     rooms = ("runs.match", "runs.track", "runs.register", "thesis", "segmentation", "printing", "vid", "calibration")
     for name in rooms:
         import_module(f"ursnav_torch.{name}")
-    import_module("ursnav_torch.vid.build").SHARD = SHARD
+    setattr(import_module("ursnav_torch.vid.build"), "SHARD", SHARD)  # noqa: B010
 
 
 def _disturbed(job: Job, folder: Path, settings: dict[str, Any]) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class Faults:
             self.sent += reached
             return reached
 
-        self._tracker.server.server.send_pose = counted  # type: ignore[method-assign]
+        self._tracker.server.server.send_pose = counted  # type: ignore[method-assign, assignment]
         self._send = counted
 
     def __enter__(self) -> "Faults":

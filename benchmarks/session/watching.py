@@ -56,13 +56,14 @@ class Watching:
     def reload(self) -> None:
         """Close the page, as a browser's reload does, and open it: its text, its kidney, its connection."""
         from websockets.sync.client import connect
+        from websockets.typing import Origin
 
         self._looking.close()
         for path in ("/", "/static/live.js", "/kidney.bin", "/calyx/0.jpg"):
             with urllib.request.urlopen(self._page.url + path, timeout=60) as answer:
                 answer.read()
         address = self._page.url.replace("http", "ws") + "/live"
-        socket: Any = connect(address, origin=self._page.url, open_timeout=60, max_size=1 << 24)
+        socket: Any = connect(address, origin=Origin(self._page.url), open_timeout=60, max_size=1 << 24)
         self._looking.enter_context(socket)
         for _ in range(10):
             with contextlib.suppress(TimeoutError):
