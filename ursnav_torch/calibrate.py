@@ -17,7 +17,8 @@ def main(config: Any) -> None:
         summary,
     )
 
-    board = Board(config.board, config.columns, config.rows, config.square_mm, config.marker_mm, str(config.dictionary))
+    printed = config.square_mm, config.marker_mm, str(config.dictionary), config.column_mm
+    board = Board(config.board, config.columns, config.rows, *printed)
     if config.print_board:
         save_board(board, caller_path(config.print_board), config.overwrite)
         print(f"{config.print_board}: print it at 100 %, then measure a square: that is square_mm.")

@@ -11,17 +11,17 @@ def main(config: Any) -> int:
     from hydra.utils import instantiate
 
     from ursnav_torch.localization import Localizer
+    from ursnav_torch.runs.lenses import stated_lens
     from ursnav_torch.runs.match import check_results, match_images
     from ursnav_torch.vid import load_vid
 
     out, report = caller_path(config.out), None if config.report is None else caller_path(config.report)
     check_results(out, report, config.overwrite)
     vid = load_vid(caller_path(config.vid))
-    if config.camera:
-        vid.check_lens(instantiate(config.camera))
+    cut = vid.cut_of(*stated_lens(config.camera, instantiate))
     choices = (config.matching, config.localization, config.search, config.alignment)
     localizer = Localizer(vid, *(instantiate(choice) for choice in choices))
-    rows = match_images(localizer, str(caller_path(config.images)), out, report, config.overwrite, progress)
+    rows = match_images(localizer, str(caller_path(config.images)), out, report, config.overwrite, progress, cut=cut)
     wrong = sum(1 for row in rows if row.get("error"))
     unsure = sum(1 for row in rows if row.get("accepted") is False)
     print(

@@ -14,20 +14,21 @@ def main(config: Any) -> int:
     from hydra.utils import instantiate
 
     from ursnav_torch.results import check_set
+    from ursnav_torch.runs.lenses import stated_lens
     from ursnav_torch.runs.sources import open_source
-    from ursnav_torch.runs.track import camera_source, track_results, track_source
+    from ursnav_torch.runs.track import camera_source, put_back, track_results, track_source
     from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
 
     vid = load_vid(caller_path(config.vid))
-    if config.camera:
-        vid.check_lens(instantiate(config.camera))
+    cut = vid.cut_of(*stated_lens(config.camera, instantiate))
     choices = (config.tracking, config.search, config.matching, config.alignment)
     tracker = Tracker(vid, *(instantiate(choice) for choice in choices))
     if config.source == "camera":
         source = camera_source(instantiate(config.device), config.seconds)
     else:
         source = open_source(caller_path(config.source), config.fps)
+    source = put_back(source, cut, tracker)
     sensor, readings = _em_readings(config, vid.kidney.mesh.bounds)
     out, besides = caller_path(config.out), _besides(config)
     check_set(track_results(out, besides), config.overwrite)

@@ -31,3 +31,18 @@ def test_a_mirrored_board_is_told() -> None:
 def test_another_lens_model_is_refused() -> None:
     with pytest.raises(InputError, match="Unknown lens model 'ocam'; known are equidistant, plumb_bob"):
         calibrate_camera({}, Board(), "ocam")
+
+
+def test_dots_that_stand_wider_than_their_rows_are_told_apart() -> None:
+    board = Board("asymmetric_circles", 3, 11, 1.0, column_mm=3.0)
+    places = circle_places(board)
+    np.testing.assert_allclose(places[1] - places[0], [3.0, 0, 0])
+    np.testing.assert_allclose(places[3] - places[0], [1.5, 1.0, 0])
+    found = find_corners(board_picture(board, 20), board)
+    assert found is not None
+    steps = np.linalg.lstsq(np.column_stack([found.board_mm[:, :2], np.ones(33)]), found.pixels, rcond=None)
+    assert np.abs(steps[1]).max() < 10
+    with pytest.raises(InputError, match=r"column_mm=-1 .*positive distance of circles in a row"):
+        Board("circles", 4, 5, 2.0, column_mm=-1)
+    with pytest.raises(InputError, match="on a board of kind charuco"):
+        Board(column_mm=3.0)

@@ -257,6 +257,14 @@ def test_cropped_and_scaled_pictures_keep_their_rays(tmp_path: Path) -> None:
         load_camera(path, resize=[100])
 
 
+def test_a_lens_of_a_round_picture_need_not_be_one_in_the_corners(tmp_path: Path) -> None:
+    path = write(tmp_path / "lens.yaml", ROS, model="plumb_bob", k=[-0.9, 0, 0, 0], n=4)
+    with pytest.raises(InputError, match=r"not defined over its whole picture.*camera\.fov_deg="):
+        load_camera(path)
+    lens = load_camera(path, fov_deg=50.0)
+    assert lens.fov_deg == 50 and not lens.rays([0, 0])[1] and lens.rays([158, 121])[1]
+
+
 def test_a_mask_beside_the_lens_is_carried(tmp_path: Path) -> None:
     mask = np.zeros((H, W), bool)
     mask[20:220, 60:260] = True

@@ -47,7 +47,7 @@ def bad_images(images: Path, picture: np.ndarray) -> Path:
         whole = put(f"cut.{suffix}", picture)
         (images / f"cut.{suffix}").write_bytes(whole[: len(whole) * 2 // 3])
     put("one.png", np.zeros((1, 1), np.uint8))
-    put("larger.png", np.kron(picture, np.ones((2, 2), np.uint8)))
+    put("wider.png", np.kron(picture, np.ones((1, 2), np.uint8)))
     put("black.png", np.zeros_like(picture))
     put("white.png", np.full_like(picture, 255))
     put("depth16.png", picture.astype(np.uint16) * 200)
@@ -70,7 +70,8 @@ def test_every_picture_has_its_row_whatever_the_others_are(run: Any, vid: Vid, b
     assert done.out.startswith("17 pictures: ") and "12 with an error" in done.out
     for name, says in {
         "black.png": "all black", "white.png": "all white", "one.png": r"1 x 1 px, but the lens is 96 x 96",
-        "larger.png": "192 x 192 px", "nothing.png": "not a readable picture", "text.jpg": "not a readable picture",
+        "wider.png": "192 x 96 px, but the lens is 96 x 96 px; no one ratio",
+        "nothing.png": "not a readable picture", "text.jpg": "not a readable picture",
         "cut.png": "cut short", "cut.jpg": "cut short", "cut.bmp": "cut.bmp", "cut.tif": "cut.tif",
         "holes.tiff": "not finite", "gone.png": "There is no image",
     }.items():  # fmt: skip
@@ -284,3 +285,31 @@ def test_natural_order_and_other_files(tmp_path: Path) -> None:
     assert base == tmp_path and [p.name for p in found] == ["9.png", "10.png", "a.jpg", "B.PNG"]
     with pytest.raises(InputError, match=r"\.png, \.jpg"):
         find_images(str(tmp_path / "*.csv"))
+
+
+def test_pictures_scaled_by_one_ratio_are_taken_and_it_is_said(run: Any, vid: Vid, images: Path) -> None:
+    picture = cv2.imread(str(images / "good.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(images / "twice.png"), cv2.resize(picture, (192, 192), interpolation=cv2.INTER_CUBIC))
+    with pytest.warns(UserWarning, match="192 x 192 px are taken for the lens's 96 x 96 px, scaled by 2"):
+        done = run("match", f"vid={vid.folder}", f"images={images}", "out=rows.csv")
+    assert done.code == 0
+    good, twice = read(Path("rows.csv"))
+    assert twice["calyx"] == good["calyx"]
+    assert all(abs(float(twice[c]) - float(good[c])) < 1.0 for c in ("x_mm", "y_mm", "z_mm"))
+
+
+def test_cropped_pictures_are_taken_where_the_cut_is_said(run: Any, vid: Vid, images: Path) -> None:
+    given = images.parent / "lens.json"
+    given.write_text(json.dumps(vid.camera.to_dict()), encoding="utf-8")
+    picture = cv2.imread(str(images / "good.png"), cv2.IMREAD_UNCHANGED)
+    (images / "cut").mkdir()
+    cv2.imwrite(str(images / "cut" / "a.png"), cv2.resize(picture[6:90, 8:92], (168, 168)))
+    lens = ["camera=file", f"camera.path={given}", "camera.crop=[8,6,84,84]", "camera.resize=[168,168]"]
+    done = run("match", f"vid={vid.folder}", f"images={images / 'cut'}", "out=cut.csv", *lens)
+    assert (done.code, done.err) == (0, "")
+    assert run("match", f"vid={vid.folder}", f"images={images / 'good.png'}", "out=good.csv").code == 0
+    (cut,), (good,) = read(Path("cut.csv")), read(Path("good.csv"))
+    assert cut["calyx"] == good["calyx"]
+    assert all(abs(float(cut[c]) - float(good[c])) < 2.0 for c in ("x_mm", "y_mm", "z_mm"))
+    other = run("match", f"vid={vid.folder}", f"images={images}", "out=x.csv", *lens[:2], "camera.crop=[0,0,200,84]")
+    assert other.code == 1 and "is not inside the lens's 96 x 96 px" in other.err

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.runs.track import put_back
 from ursnav_torch.tracking import tracker as room
+from ursnav_torch.tracking.follow import Moment, Source
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import Vid
 
@@ -32,3 +34,14 @@ def test_burnt_in_text_is_left_out_until_it_moves(
     covered = valid[16]
     assert float(covered[covered.shape[0] // 4, covered.shape[1] // 2]) == 0 < float(covered.mean())
     assert not valid[-1].numel(), "what has changed by the last look was no text"
+
+
+def test_what_was_cut_away_is_none_of_the_scene(vid: Vid, renderer: RaycastRenderer) -> None:
+    lens = vid.camera
+    cut = vid.cut_of(lens.cropped(0, 16, lens.width, lens.height - 32), was_cut=True)
+    tracker, image = Tracker(vid), renderer.render(vid.T_kidney_camera[3]).image
+    source = Source(lambda: iter([Moment(0, 0.0, image[16:-16], "0")]), 1, "one")
+    (moment,) = put_back(source, cut, tracker).moments()
+    assert moment.image.shape == image.shape and not moment.image[:16].any()
+    features = tracker.extract(moment.image)
+    assert features is not None and float(features.valid[:2].max()) == 0 < float(features.valid.mean())

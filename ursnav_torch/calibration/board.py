@@ -19,6 +19,10 @@ DETECTION_WIDTH_PX = 700
 MIN_CORNERS = 6
 _CIRCLES = ("circles", "asymmetric_circles")
 _PRINT_PX_PER_MM = 600 / 25.4
+#: Dots of up to so many px are sought, first OpenCV's own limit: a larger one takes the lit disc for a dot beside it.
+_MOST_BLOB_PX = (5000.0, 100_000.0)
+#: Where the grain hides a dot, it is looked for in the picture blurred by so much, px.
+_BLURS_PX = (0.0, 1.5, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,7 @@ class Board:
         square_mm: side of a square; from a row of circles to the next.
         marker_mm: side of a charuco marker.
         dictionary: charuco marker dictionary, OpenCV's name without ``DICT_``.
+        column_mm: from a circle to the next in its row; None: as rows are apart, or twice that where rows are shifted.
 
     Raises:
         InputError: a value is out of range.
@@ -43,6 +48,7 @@ class Board:
     square_mm: float = 4.0
     marker_mm: float = 3.0
     dictionary: str = "4X4_50"
+    column_mm: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in BOARDS:
@@ -54,8 +60,18 @@ class Board:
                 f"Squares of {self.square_mm} mm and markers of {self.marker_mm} mm do not make a board; measure the "
                 "print: both positive, the marker smaller than its square."
             )
+        if self.column_mm is not None and not (self.column_mm > 0 and self.kind in _CIRCLES):
+            raise InputError(
+                f"column_mm={self.column_mm:g} on a board of kind {self.kind}: it is the positive distance of circles "
+                f"in a row, of {' or '.join(_CIRCLES)} only."
+            )
         if self.kind == "charuco":
             _dictionary(self)
+
+    @property
+    def across_mm(self) -> float:
+        """From a circle to the next in its row, mm."""
+        return self.column_mm or self.square_mm * (2 if self.kind == "asymmetric_circles" else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,20 +158,24 @@ def _chessboard_corners(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray,
 def circle_places(board: Board) -> NDArray[np.float64]:
     """(N, 3) centers of a board's circles in mm, row by row; rows of an asymmetric grid are half a step apart."""
     row, column = np.divmod(np.arange(board.columns * board.rows), board.columns)
-    across = 2 * column + row % 2 if board.kind == "asymmetric_circles" else column
-    return board.square_mm * np.stack([across, row, np.zeros(len(row))], axis=1)
+    across = column + row % 2 / 2 if board.kind == "asymmetric_circles" else column
+    return np.stack([board.across_mm * across, board.square_mm * row, np.zeros(len(row))], axis=1)
 
 
 def _circle_centers(gray: NDArray[np.uint8], board: Board) -> tuple[NDArray, NDArray] | None:
     grid = cv2.CALIB_CB_ASYMMETRIC_GRID if board.kind == "asymmetric_circles" else cv2.CALIB_CB_SYMMETRIC_GRID
-    words = cv2.SimpleBlobDetector.Params()
-    words.minArea, words.maxArea = 20.0, gray.size / 20  # OpenCV's own limit of 5000 px is too small for large pictures
-    blobs = cv2.SimpleBlobDetector.create(words)
-    for picture in (gray, 255 - gray):  # dark dots on a bright board, or bright ones on a dark board
-        for flags in (grid, grid | cv2.CALIB_CB_CLUSTERING):
-            whole, pixels = cv2.findCirclesGrid(picture, (board.columns, board.rows), flags=flags, blobDetector=blobs)
-            if whole:
-                return circle_places(board), pixels.reshape(-1, 2)
+    size = (board.columns, board.rows)
+    for most in _MOST_BLOB_PX:
+        words = cv2.SimpleBlobDetector.Params()
+        words.maxArea = most
+        blobs = cv2.SimpleBlobDetector.create(words)
+        for blur in _BLURS_PX:
+            seen = cv2.GaussianBlur(gray, (0, 0), blur) if blur else gray
+            for picture in (seen, 255 - seen):  # dark dots on a bright board, or bright ones on a dark board
+                for flags in (grid, grid | cv2.CALIB_CB_CLUSTERING):
+                    whole, pixels = cv2.findCirclesGrid(picture, size, flags=flags, blobDetector=blobs)
+                    if whole:
+                        return circle_places(board), pixels.reshape(-1, 2)
     return None
 
 
@@ -163,7 +183,7 @@ def _circles_picture(board: Board, side: int) -> NDArray[np.uint8]:
     at = np.rint(circle_places(board)[:, :2] / board.square_mm * side).astype(int)
     width, height = at.max(axis=0) + 2 * side
     picture = np.full((height, width), 255, np.uint8)
-    radius = round(side * (0.35 if board.kind == "circles" else 0.45))
+    radius = round(side * min(0.35 if board.kind == "circles" else 0.45, 0.35 * board.across_mm / board.square_mm))
     for x, y in at + side:
         cv2.circle(picture, (int(x), int(y)), radius, 0, cv2.FILLED, cv2.LINE_AA)
     return picture

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ursnav_torch.calibration.solve import Calibration
+from ursnav_torch.calibration.solve import UNCERTAIN_FOCAL, Calibration
 from ursnav_torch.files import write_image, write_json
 from ursnav_torch.results import whole_set
 
@@ -22,6 +22,7 @@ def save_calibration(result: Calibration, path: Path, overwrite: bool = False) -
     paths = calibration_files(path)
     mask = result.camera.mask_image()
     quality = {"rms_px": round(result.rms_px, 4), "images": len(result.corners), "seen_deg": round(result.seen_deg, 1)}
+    quality |= {"focal_sd_px": round(result.focal_sd_px, 2)}
     data = result.camera.to_dict() | quality | {"covered": round(result.field.share, 3)}
     if mask is not None:
         data["mask"] = paths[2].name
@@ -48,6 +49,12 @@ def summary(result: Calibration) -> str:
         f"fx {camera.fx:.1f}  fy {camera.fy:.1f}  cx {camera.cx:.1f}  cy {camera.cy:.1f}  field of view: {fov}",
         f"corners were seen up to {result.seen_deg:.0f} degrees from the axis; farther out the lens is extrapolated",
     ]
+    if result.focal_sd_px > UNCERTAIN_FOCAL * camera.fx:
+        share = result.focal_sd_px / camera.fx
+        lines.append(
+            f"the focal length is uncertain by {result.focal_sd_px:.0f} px ({share:.0%}): take pictures with "
+            "the board tilted by 20 to 40 degrees in different directions"
+        )
     lines.append(f"the board's corners came to {result.field.share:.0%} of the picture's parts")
     if result.field.empty:
         lines.append(f"take more pictures with the board at {_listed(result.field.empty)}")

@@ -1,6 +1,7 @@
 """Lenses from files: camera JSON, ROS and Kalibr YAML, OpenCV YAML and XML, COLMAP and OCamCalib text."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ def load_camera(
     resize: Sequence[int] | None = None,
     name: str | None = None,
     model: str | None = None,
+    fov_deg: float | None = None,
 ) -> Camera:
     """Read a lens: camera JSON (`Camera`'s fields; ``mask`` names a PNG beside it), or a file of another program.
 
@@ -30,6 +32,7 @@ def load_camera(
         resize: [w, h] that pictures were scaled to, after the crop.
         name: which camera, where a file holds several.
         model: ``plumb_bob`` or ``equidistant`` where a file does not say what its four coefficients are.
+        fov_deg: full angle of the image circle, where the file does not say it; farther out the lens need not be one.
 
     Raises:
         InputError: missing, damaged, of no kind that is known, or no lens that can be (see `check_sense`).
@@ -40,6 +43,8 @@ def load_camera(
     else:
         data = read_json(path, "camera")
         lens = camera_from_dict(_with_mask(data, path), str(path))
+    if fov_deg is not None:
+        lens = replace(lens, fov_deg=float(fov_deg))
     check_sense(lens, str(path))
     if crop is not None:
         lens = lens.cropped(*_whole_numbers(crop, 4, "camera.crop=[x,y,w,h]"))

@@ -46,7 +46,7 @@ def _check_fold(lens: Camera, where: str) -> None:
         raise InputError(
             f"The lens in {where} folds at {math.degrees(fold):.1f} degrees from its axis: no ray reaches beyond "
             f"{radius:.0f} px from the center, but the picture goes to {rim:.0f} px. Calibrate again with the board up "
-            "to the rim and fewer coefficients, or give fov_deg if the scope's picture is a smaller circle."
+            "to the rim and fewer coefficients, or give camera.fov_deg= if the scope's picture is a smaller circle."
         )
 
 
@@ -75,7 +75,7 @@ def _check_round_trip(lens: Camera, where: str) -> None:
         worst = np.hypot(pixels[..., 0] - lens.cx, pixels[..., 1] - lens.cy)[lost].min()
         raise InputError(
             f"The lens in {where} is not defined over its whole picture: from {worst:.0f} px off its center on, pixels "
-            "have no ray. Calibrate again with the board up to the rim, or give fov_deg or a mask if the scope's "
+            "have no ray. Calibrate again with the board up to the rim, or give camera.fov_deg= if the scope's "
             "picture is a smaller circle."
         )
     if off.max() > _ROUND_TRIP_PX:

@@ -41,8 +41,8 @@ class LensCamera(CameraDevice):
         self.lens = None if calibration is None else lenses.load_camera(calibration)
 
     def _check_size(self, image: Image) -> None:
-        """Refuse pictures that the calibration was not made for."""
-        if self.lens and image.shape[:2] != (self.lens.height, self.lens.width):
+        """Refuse pictures that the calibration was not made for; those scaled by one ratio are put back later."""
+        if self.lens and lenses.scaled_to(image, self.lens).shape[:2] != (self.lens.height, self.lens.width):
             height, width = image.shape[:2]
             raise InputError(
                 f"The camera gives {width}x{height} pixels, its calibration is for {self.lens.width}x"

@@ -56,7 +56,8 @@ def check_image(image: NDArray[np.uint8], camera: Camera) -> None:
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             f"The picture is {width} x {height} px, but the lens is {camera.width} x {camera.height} px; "
-            "use pictures as the calibrated camera gives them, neither cropped nor resized."
+            "no one ratio scales one to the other. Say how they were cut: camera=file camera.path=CALIBRATION "
+            "camera.crop=[x,y,w,h] camera.resize=[w,h]; or use them as the calibrated camera gives them."
         )
 
 

@@ -83,6 +83,7 @@ class Navigator:
         governor: Governor | None = None,
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
+        self._whole = tracker.vid.cut_of(None)
         self.guide = Guide(tracker.vid, tracker.lumen, exploration)
         self.shows_edges = False
         self.located, self._pace = 0, Pace()
@@ -120,7 +121,8 @@ class Navigator:
         if isinstance(event, Frame):
             captured = event.stamp.t_mono_s if self._pace.stamped_now else time.monotonic()
             self._given += 1
-            self._jobs.put(_Job(self._given, event, captured, self._reading))
+            frame = replace(event, image=self._whole.put_back(event.image))
+            self._jobs.put(_Job(self._given, frame, captured, self._reading))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = self._sensor(event)
         elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:

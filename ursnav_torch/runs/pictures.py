@@ -3,6 +3,7 @@
 import glob
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.camera import PictureCut
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import IMAGE_SUFFIXES, read_image
 from ursnav_torch.files import natural_key
@@ -40,36 +42,71 @@ def find_images(where: str) -> tuple[Path, list[Path]]:
     return base, sorted(found, key=lambda p: natural_key(str(p.relative_to(base))))
 
 
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Files to be located.
+
+    Attributes:
+        base: the folder that their names are relative to.
+        paths: the files, in order.
+        cut: what part of the lens's pictures they show.
+    """
+
+    base: Path
+    paths: list[Path]
+    cut: PictureCut
+
+    def names(self) -> list[str]:
+        """What a row calls each."""
+        return [path.relative_to(self.base).as_posix() for path in self.paths]
+
+    def read(self, path: Path) -> NDArray[np.uint8]:
+        """A picture as the lens gives it (H, W) or (H, W, 3); raises as `read_image` does."""
+        return self.cut.put_back(read_image(path))
+
+    def readable(self, path: Path) -> NDArray[np.uint8] | None:
+        """`read`, (H, W) or (H, W, 3), or None where it is none."""
+        try:
+            return self.read(path)
+        except InputError:
+            return None
+
+    def after(self, done: int) -> "Pictures":
+        """Those that are left after so many."""
+        return replace(self, paths=self.paths[done:])
+
+
 def locate_files(
-    localizer: Localizer, base: Path, paths: list[Path], children: int = 0
+    localizer: Localizer, pictures: Pictures, children: int = 0
 ) -> Iterator[tuple[dict[str, Any], Location | None]]:
     """A row of `MATCH_COLUMNS` and the location of every picture; one that cannot be located has an ``error``.
 
     Args:
         localizer: for pictures taken through its VID's lens.
-        base: folder that the rows' names are relative to.
-        paths: the pictures.
+        pictures: the files.
         children: processes beside this one that locate while the caller does something else; their VID is the one
             in the localizer's folder.
     """
-    make = partial(_Locating, localizer.again(), base) if children else lambda: partial(_located, localizer, base)
-    yield from in_order(make, paths, children)
+    make = (
+        partial(_Locating, localizer.again(), pictures) if children else lambda: partial(_located, localizer, pictures)
+    )
+    yield from in_order(make, pictures.paths, children)
 
 
 class _Locating:
     """Called with a picture's path: its row and location, see `locate_files`."""
 
-    def __init__(self, again: Again, base: Path) -> None:
-        self._localizer, self._base = again.localizer(), base
+    def __init__(self, again: Again, pictures: Pictures) -> None:
+        self._localizer, self._pictures = again.localizer(), pictures
 
     def __call__(self, path: Path) -> tuple[dict[str, Any], Location | None]:
-        return _located(self._localizer, self._base, path)
+        return _located(self._localizer, self._pictures, path)
 
 
-def _located(localizer: Localizer, base: Path, path: Path) -> tuple[dict[str, Any], Location | None]:
-    row: dict[str, Any] = {"image": path.relative_to(base).as_posix()}
+def _located(localizer: Localizer, pictures: Pictures, path: Path) -> tuple[dict[str, Any], Location | None]:
+    row: dict[str, Any] = {"image": path.relative_to(pictures.base).as_posix()}
     try:
-        location = localizer.locate(read_image(path))
+        location = localizer.locate(pictures.read(path))
     except (FeatureError, InputError) as error:
         return row | {"error": str(error)}, None
     return row | match_row(location), location

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.camera import PictureCut
 from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, SourceAtEndError
 from ursnav_torch.errors import InputError
@@ -126,6 +127,18 @@ def _tracked(
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."
     return summary, source.live or not interrupted
+
+
+def put_back(source: Source, cut: PictureCut, tracker: Tracker) -> Source:
+    """The source with its pictures as the VID's lens gives them; the tracker leaves out what was cut away of them."""
+    if not cut.is_whole:
+        tracker.narrow(cut.inside())
+
+    def moments() -> Iterator[Moment]:
+        for moment in source.moments():
+            yield replace(moment, image=cut.put_back(moment.image))
+
+    return replace(source, moments=moments)
 
 
 def camera_source(device: CameraDevice, seconds: float | None) -> Source:

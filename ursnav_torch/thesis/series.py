@@ -14,7 +14,7 @@ from ursnav_torch.geometry import Array
 from ursnav_torch.localization import Localizer, Location
 from ursnav_torch.rendering import Renderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
-from ursnav_torch.runs.pictures import locate_files
+from ursnav_torch.runs.pictures import Pictures, locate_files
 from ursnav_torch.vid import Vid, pose_cells
 
 RESULT_COLUMNS = (*MATCH_COLUMNS, "points")
@@ -94,7 +94,8 @@ def match_pictures(localizer: Localizer, pictures: DrawnPictures, progress: Prog
     rows: list[dict[str, Any]] = []
     locations: list[Location | None] = []
     with progress(len(paths), f"{pictures.folder.name} pictures matched") as advance:
-        for row, location in locate_files(localizer, pictures.folder / "images", paths):
+        whole = Pictures(pictures.folder / "images", paths, localizer.vid.cut_of(None))
+        for row, location in locate_files(localizer, whole):
             rows.append(row if location is None else row | {"points": len(location.features.edges)})
             locations.append(location)
             advance(1)

@@ -188,6 +188,10 @@ class Tracker:
                 pass
         return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
 
+    def narrow(self, scene: NDArray[np.bool_]) -> None:
+        """From now on pictures show the scene in a part (H, W) of the lens alone."""
+        self._whole = self._extractor = self._whole.through(scene)
+
     def _look_for_the_scene(self, image: NDArray[np.uint8]) -> None:
         """Leave out what never changes in the first pictures: a narrower mask, burnt-in text. The last look counts."""
         looked = self._still.count

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ursnav_torch.camera import Camera
+from ursnav_torch.camera import Camera, PictureCut, cut_of
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Extractor, Settings, image_from_bytes, make_extractor
 from ursnav_torch.inputs import read_regular
@@ -74,17 +74,27 @@ class Vid:
         """An extractor as the views' features were made with."""
         return make_extractor(self.settings, self.camera)
 
-    def check_lens(self, camera: Camera) -> None:
-        """Refuse pictures of another lens than the views'.
+    def cut_of(self, camera: Camera | None, was_cut: bool = False) -> PictureCut:
+        """Where pictures through ``camera`` lie in the views'; None: they are as the views' lens gives them.
+
+        Args:
+            camera: the pictures' lens.
+            was_cut: whether it is said to be the views', cropped or scaled; else it must be as large as theirs.
 
         Raises:
-            InputError: size or calibration differ.
+            InputError: it is another lens.
         """
-        if not self.camera.same_lens(camera):
+        lens = self.camera
+        whole = PictureCut(lens, lens.width, lens.height, 0, 0, lens.width, lens.height)
+        if camera is None or lens.same_lens(camera):
+            return whole
+        cut = cut_of(camera, lens) if was_cut else None
+        if cut is None:
             raise InputError(
                 f"The pictures' lens ({_lens(camera)}) is not the one that the VID {self.folder} was drawn through "
-                f"({_lens(self.camera)}); build a VID with camera= as the pictures have it."
+                f"({_lens(self.camera)}), nor a part of it; build a VID with camera= as the pictures have it."
             )
+        return cut
 
     def calyx_name(self, calyx: int) -> str:
         """Name of a calyx index; blank for -1."""
