@@ -36,7 +36,7 @@ def to_record(data: Any, kind: type[T], where: str, only_known: bool = False) ->
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{where} cannot be used: {error}.") from error
+        raise InputError(f"{where} cannot be used: {str(error).rstrip('.')}.") from error
 
 
 def read_json(path: Path, what: str) -> Any:

@@ -286,3 +286,76 @@ def test_a_mask_beside_the_lens_is_carried(tmp_path: Path) -> None:
     (tmp_path / "mask.png").unlink()
     with pytest.raises(InputError, match=r"names the mask 'mask\.png'; there is no such picture"):
         load_camera(tmp_path / "c.json")
+
+
+STORED = """%YAML:1.0
+---
+image_width: 320
+image_height: 240
+{name}: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 150., {skew}, 158., 0., 148., 121., 0., 0., 1. ]
+"""
+
+
+@pytest.mark.parametrize(
+    ("K", "reason"),
+    [
+        ([150, 0, 0, 0, 148, 0, 158, 121, 1], r"stands by columns, as MATLAB's do; transpose it"),
+        ([150, 12, 158, 0, 148, 121, 0, 0, 1], "its pixels are skewed by 12"),
+        ([150, 0, 158, 0, 148, 121, 0, 0, 0], "is no camera matrix; expected fx, 0, cx"),
+        (
+            [150, 0, 315, 0, 148, 121, 0, 0, 1],
+            r"\(315\.0, 121\.0\), 49% of its picture .* calibration of another resolution",
+        ),
+    ],
+)
+def test_a_matrix_that_is_none_is_no_lens(tmp_path: Path, K: list[float], reason: str) -> None:
+    path = tmp_path / "lens.yaml"
+    path.write_text(f"image_width: {W}\nimage_height: {H}\ncamera_matrix: {K}\ndistortion_model: plumb_bob\n")
+    with pytest.raises(InputError, match=reason):
+        load_camera(path)
+
+
+def test_a_principal_point_far_off_the_middle_is_said(tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text(json.dumps(Camera("equidistant", W, H, 150.0, 148.0, 220.0, 121.0).to_dict()))
+    with pytest.warns(UserWarning, match="19% of its picture .* are row and column exchanged?"):
+        load_camera(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize("word", ["distortion_coefficients", "dist", "D", "skew"])
+def test_distortion_in_anothers_words_is_not_passed_over(tmp_path: Path, word: str) -> None:
+    data = Camera("pinhole", W, H, *F).to_dict()
+    (tmp_path / "c.json").write_text(json.dumps(data | {word: [-0.3, 0.1, 0, 0, 0]}))
+    with pytest.raises(InputError, match=f"has {word}, which camera JSON has not: write distortion as k"):
+        load_camera(tmp_path / "c.json")
+    (tmp_path / "c.json").write_text(json.dumps(data | {word: 0.0, "rms_px": 0.2}))
+    assert load_camera(tmp_path / "c.json").model == "pinhole"
+
+
+def test_a_field_of_view_in_radians_is_told(tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text(json.dumps(Camera("equidistant", W, H, *F).to_dict() | {"fov_deg": 2.79}))
+    with pytest.raises(InputError, match=r"fov_deg=2\.79: it is the full angle in degrees"):
+        load_camera(tmp_path / "c.json")
+
+
+def test_a_file_of_two_cameras_is_not_one(tmp_path: Path) -> None:
+    (tmp_path / "s.yaml").write_text(
+        STORED.format(name="M1", skew=0) + STORED.format(name="M2", skew=0).partition("240\n")[2]
+    )
+    with pytest.raises(InputError, match="holds the two cameras M1 and M2"):
+        load_camera(tmp_path / "s.yaml")
+    (tmp_path / "one.yaml").write_text(STORED.format(name="camera_matrix", skew=0))
+    with pytest.warns(UserWarning, match="says nothing of distortion"):
+        assert load_camera(tmp_path / "one.yaml").model == "pinhole"
+
+
+@pytest.mark.parametrize(("K", "D"), [("K", "D"), ("k", "d")], ids=["ROS 1", "ROS 2"])
+def test_a_message_of_ros_is_taken(tmp_path: Path, K: str, D: str) -> None:
+    path = tmp_path / "message.yaml"
+    matrix = [150.0, 0, 158, 0, 148, 121, 0, 0, 1]
+    path.write_text(f"width: {W}\nheight: {H}\n{K}: {matrix}\n{D}: {[*RADTAN, 0]}\ndistortion_model: plumb_bob\n")
+    lens = load_camera(path)
+    assert (lens.fx, lens.cx, lens.k[:4]) == (150, 158, RADTAN)

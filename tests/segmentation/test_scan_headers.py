@@ -201,3 +201,47 @@ def test_given_scans_of_public_complaints(cases: Path) -> None:
     for path in sorted((cases / "fuzz").glob("*.nrrd")):
         with pytest.raises(InputError, match=r"digits|whole number"):
             read_scan(path)
+
+
+@pytest.mark.parametrize("codes", [(0, 1), (1, 1)], ids=["sform alone", "both"])
+def test_a_nifti_of_two_spacings_is_refused_and_may_be_told(scan: Scan, tmp_path: Path, codes: tuple[int, int]) -> None:
+    path = nifti(tmp_path / "two.nii", scan, {80: ("3f", (1.0, 1.0, 1.0)), 252: ("2h", codes)})
+    with pytest.raises(
+        InputError, match=r"pixdim says \[1\.0, 1\.0, 1\.0\], the sform \[0\.7, 0\.8, 1\.5\].*spacing_mm="
+    ):
+        read_scan(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # sform and qform apart
+        told = read_scan(path, header=ScanHeader(spacing_mm=[0.7, 0.8, 1.5]))
+    np.testing.assert_allclose(np.linalg.norm(told.T_lps_voxel[:3, :3], axis=0), [0.7, 0.8, 1.5])
+
+
+def test_a_packed_nifti_by_a_plain_name_is_told(scan: Scan, tmp_path: Path) -> None:
+    write_scan(scan, tmp_path / "a.nii")
+    (tmp_path / "b.nii").write_bytes(gzip.compress((tmp_path / "a.nii").read_bytes()))
+    with pytest.raises(InputError, match=r"is packed by gzip, .*rename it to b\.nii\.gz"):
+        read_scan(tmp_path / "b.nii")
+
+
+MATRIX, PLACE = "TransformMatrix = 1 0 0 0 1 0 0 0 1", "Offset = 0 0 0"
+
+
+def test_metaimages_unit_is_taken(scan: Scan, tmp_path: Path) -> None:
+    path = meta(tmp_path / "cm.mha", scan, MATRIX, PLACE, "ElementSpacing = 0.07 0.08 0.15", "DistanceUnits = cm")
+    np.testing.assert_allclose(np.linalg.norm(read_scan(path).T_lps_voxel[:3, :3], axis=0), [0.7, 0.8, 1.5])
+    odd = meta(tmp_path / "odd.mha", scan, MATRIX, PLACE, "ElementSpacing = 0.7 0.8 1.5", "DistanceUnits = ell")
+    with pytest.raises(InputError, match=r"states its unit as ell.*kidney\.header\.unit="):
+        read_scan(odd)
+
+
+def test_metaimages_name_of_an_orientation_alone_is_not_believed(scan: Scan, tmp_path: Path) -> None:
+    spacing = "ElementSpacing = 0.7 0.8 1.5"
+    named = meta(tmp_path / "n.mha", scan, PLACE, spacing, "AnatomicalOrientation = LPI")
+    with pytest.raises(InputError, match=r"lacks the orientation.*kidney\.header\.orientation="):
+        read_scan(named)
+    both = meta(tmp_path / "b.mha", scan, MATRIX, PLACE, spacing, "AnatomicalOrientation = LPI")
+    with pytest.warns(UserWarning, match="two orientations: LPI by name and RAI by its matrix, which is used"):
+        read_scan(both)
+    same = meta(tmp_path / "s.mha", scan, MATRIX.replace("1 0 0 0 1", "-1 0 0 0 1"), PLACE, spacing,
+                "AnatomicalOrientation = LAI")  # fmt: skip
+    assert read_scan(same).T_lps_voxel[0, 0] == pytest.approx(-0.7)

@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 _POSITION_MM, _DIRECTION = 1.5, 0.1
 #: Errors of a track are taken as one for so long, s.
 _BLOCK_S = 4.0
+#: The place's spread is larger than the blocks tell, whatever their length, since poses stand on both sides of the
+#: equation: root mean square of misses in standard deviations, 25 drives of other seeds than those judged, over
+#: 120 and 240 s 1.39 and 1.33 (``benchmarks.hand_eye first=100``).
+_PLACE_SPREAD = 1.35
 #: Offsets between the clocks that are tried, s.
 _SEARCH_S, _STEP_S = 3.0, 0.05
 #: A calibration that is less certain is refused: standard deviations, mm, degrees and s.
@@ -278,11 +282,12 @@ def _undetermined(J: Array) -> NDArray[np.bool_]:
 def _result(x: Array, sd: Array, problem: _Problem, rms_mm: float) -> TipCalibration:
     R, axis = Rotation.from_rotvec(x[:3]).as_matrix(), x[9:12] / np.linalg.norm(x[9:12])
     T = np.eye(4)
+    spread = _PLACE_SPREAD * sd[6:9]
     T[:3, :3], T[:3, 3] = R, x[3:6] + problem.place.mean(0) - R @ problem.position.mean(0)
     known = problem.has_axis
     across = sd[9:12] / np.linalg.norm(x[9:12])
     return TipCalibration(
-        offset_mm=x[6:9], offset_sd_mm=sd[6:9], axis=axis if known else np.full(3, np.nan),
+        offset_mm=x[6:9], offset_sd_mm=spread, axis=axis if known else np.full(3, np.nan),
         axis_sd_deg=float(np.degrees(np.sqrt(np.sum(across**2) * 2 / 3))) if known else float("nan"),
         R_camera_sensor=_orientation(R, problem, float(x[12])), em_offset_s=float(x[12]), em_offset_sd_s=float(sd[12]),
         T_kidney_em=T, n=len(problem.t_s), rms_mm=rms_mm,
@@ -318,5 +323,5 @@ def _check(found: TipCalibration) -> None:
     if unknown:
         raise RegistrationError(
             f"The motion does not determine {' and '.join(unknown)}: record the scope moving in and out while it bends "
-            "to all sides and rolls, for a minute or more, where it is localized well."
+            "to all sides and rolls, for four minutes or more, where it is localized well."
         )

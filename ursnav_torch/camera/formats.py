@@ -1,6 +1,7 @@
 """Lens files of other programs: what each calls the models, and where each counts pixels from."""
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ _MOST_BYTES = 1_000_000
 #: OpenCV's names for what its samples write, in small letters.
 _MATRIX = ("camera_matrix", "cameramatrix", "k", "m1", "intrinsics", "intrinsic_matrix")
 _DISTORTION = ("distortion_coefficients", "distortion_coeffs", "dist_coeffs", "distcoeffs", "distortion", "d", "d1")
-_BINNING, _NO_BINNING = ("binning_x", "binning_y"), (None, 0, 1)
+#: Skew that rounding leaves, of the focal length.
+_SKEW = 1e-3
 #: COLMAP's models: where f (or fx, fy), cx, cy stand, and which of k1, k2, p1, p2, k3, k4, k5, k6 follow.
 _COLMAP = {
     "SIMPLE_PINHOLE": (1, "rational", ()), "PINHOLE": (2, "rational", ()),
@@ -49,6 +51,11 @@ def foreign_lens(path: Path, name: str | None, model: str | None) -> Camera:
         raise InputError(f"The camera file {path} holds no camera; expected ROS camera_info, Kalibr or OpenCV YAML.")
     if "camera_matrix" in data:
         return _ros(data, path)
+    if (K := data.get("K", data.get("k"))) is not None and "width" in data:  # a message of ROS 1 or 2
+        names = {"image_width": "width", "image_height": "height"}
+        D = data.get("D", data.get("d", []))
+        more = {new: data.get(old) for new, old in names.items()} | {"camera_matrix": K, "distortion_coefficients": D}
+        return _ros(dict(data) | more, path)
     return _kalibr(data, path, name)
 
 
@@ -80,6 +87,24 @@ def _size(width: Any, height: Any, path: Path) -> tuple[int, int]:
     if w != int(w) or h != int(h) or min(w, h) < 8:
         raise InputError(f"The camera file {path} says its pictures are {w:g} x {h:g} px; at least 8 x 8 are needed.")
     return int(w), int(h)
+
+
+def _intrinsics(K: list[float], path: Path) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of a camera matrix by rows.
+
+    Raises:
+        InputError: it stands by columns (MATLAB's), its pixels are skewed, or it is no camera matrix.
+    """
+    fx, skew, cx, below, fy, cy, *last = K
+    if last[:2] != [0, 0] and (cx, cy) == (0, 0):
+        raise InputError(f"The camera file {path}: its camera matrix stands by columns, as MATLAB's do; transpose it.")
+    if below != 0 or last != [0, 0, 1]:
+        raise InputError(f"The camera file {path}: {K} is no camera matrix; expected fx, 0, cx, 0, fy, cy, 0, 0, 1.")
+    if abs(skew) > _SKEW * abs(fx):
+        raise InputError(
+            f"The camera file {path}: its pixels are skewed by {skew:g}, which is not understood; calibrate without."
+        )
+    return fx, fy, cx, cy
 
 
 def _lens(model: str, size: tuple[int, int], f: tuple[float, ...], k: list[float], path: Path) -> Camera:
@@ -118,7 +143,7 @@ def _lens(model: str, size: tuple[int, int], f: tuple[float, ...], k: list[float
 def _ros(data: Mapping[str, Any], path: Path) -> Camera:
     """camera_info as ROS's camera_calibration writes it."""
     size = _size(data.get("image_width"), data.get("image_height"), path)
-    K = _numbers(_entry(data["camera_matrix"]), "camera_matrix", path, 9)
+    f = _intrinsics(_numbers(_entry(data["camera_matrix"]), "camera_matrix", path, 9), path)
     k = _numbers(_entry(data.get("distortion_coefficients", [])), "distortion_coefficients", path)
     roi = data.get("roi") or {}
     if any(roi.get(c) for c in ("x_offset", "y_offset")) or any(
@@ -131,7 +156,7 @@ def _ros(data: Mapping[str, Any], path: Path) -> Camera:
     model = data.get("distortion_model")
     if model is None and any(k):
         raise InputError(f"The camera file {path} does not say its distortion_model (plumb_bob, equidistant, ...).")
-    return _lens(str(model or "none"), size, (K[0], K[4], K[2], K[5]), k, path)
+    return _lens(str(model or "none"), size, f, k, path)
 
 
 def _entry(value: Any) -> Any:
@@ -197,7 +222,11 @@ def _opencv(text: str, path: Path, model: str | None) -> Camera:
         )
     if "image_width" not in nodes or "image_height" not in nodes:
         raise InputError(f"The camera file {path} does not say its pictures' size; add image_width and image_height.")
+    if "m1" in nodes and "m2" in nodes:
+        raise InputError(f"{path} holds the two cameras M1 and M2; write the scope's alone to a file of its own.")
     size = _size(nodes["image_width"].real(), nodes["image_height"].real(), path)
+    if not any(key in nodes for key in _DISTORTION):
+        warnings.warn(f"{path} says nothing of distortion: it is taken for a lens without any.", stacklevel=5)
     values = next((nodes[key].mat() for key in _DISTORTION if key in nodes), None)
     k = [] if values is None else _numbers(values, "distortion_coefficients", path)
     fisheye = "fisheye_model" in nodes and nodes["fisheye_model"].real() == 1
@@ -207,7 +236,7 @@ def _opencv(text: str, path: Path, model: str | None) -> Camera:
             "camera.model=equidistant (cv::fisheye: k1,k2,k3,k4) or camera.model=plumb_bob (k1,k2,p1,p2)."
         )
     chosen = model or ("equidistant" if fisheye else "plumb_bob")
-    return _lens(chosen, size, (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), k, path)
+    return _lens(chosen, size, _intrinsics(_numbers(matrix, "camera_matrix", path, 9), path), k, path)
 
 
 def _colmap(text: str, path: Path, name: str | None) -> Camera:

@@ -14,6 +14,10 @@ from ursnav_torch.camera.sense import check_sense
 from ursnav_torch.errors import InputError
 from ursnav_torch.records import read_json, to_record
 
+#: What others call the distortion, or what no model here has: passing it over would draw another lens.
+_OTHERS_WORDS = ("distortion", "distortion_coefficients", "distortion_coeffs", "dist_coeffs", "dist_coeff", "dist", "D",
+                 "d", "skew", "p1", "p2", "k1", "k2", "k3", "xi", "alpha")  # fmt: skip
+
 
 def load_camera(
     path: str | Path,
@@ -62,6 +66,11 @@ def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
     missing = [key for key in KEYS if key not in data]
     if missing:
         raise InputError(f"The camera in {where} lacks {', '.join(missing)}; needed are {', '.join(KEYS)}.")
+    if ignored := [key for key in _OTHERS_WORDS if np.any(np.ravel(np.asarray(data.get(key) or 0, object)) != 0)]:
+        raise InputError(
+            f"The camera in {where} has {', '.join(ignored)}, which camera JSON has not: write distortion as k (see "
+            "the model's coefficients; model=rational takes k1, k2, p1, p2, k3, k4, k5, k6)."
+        )
     known = {key: _whole(value) for key, value in data.items() if value is not None}
     if known["model"] == "pinhole" and not known.get("k"):
         known.pop("k", None)

@@ -1,6 +1,7 @@
 """Can a lens be? A calibration of another picture, or one that folds, is refused before anything is drawn."""
 
 import math
+import warnings
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from ursnav_torch.errors import InputError
 #: picture plane has less.
 _FOV_DEG, _FLAT_FOV_DEG = (10.0, 300.0), (10.0, 150.0)
 _ASPECT = (0.5, 2.0)
+#: How far a principal point is off the middle, of the picture's side: more than lenses are mounted off (endocal's two
+#: scopes 0.05), and none any more.
+_FAR_OFF, _AT_THE_RIM = 0.12, 0.4
 #: Pixels project back onto themselves within this, px.
 _ROUND_TRIP_PX = 0.01
 
@@ -28,11 +32,26 @@ def check_sense(lens: Camera, where: str) -> None:
             f"{lens.width} x {lens.height} px: is it the calibration of another resolution? If pictures were cropped, "
             "give the whole picture's calibration and camera.crop=[x,y,w,h]."
         )
+    _check_middle(lens, where)
     if not _ASPECT[0] < lens.fx / lens.fy < _ASPECT[1]:
         raise InputError(f"The lens in {where} has fx {lens.fx:g} and fy {lens.fy:g}, which no square pixels give.")
     _check_fold(lens, where)
     _check_field(lens, where)
     _check_round_trip(lens, where)
+
+
+def _check_middle(lens: Camera, where: str) -> None:
+    """Refuse a principal point at the picture's rim, and say one that is far off its middle."""
+    off = max(abs(lens.cx - (lens.width - 1) / 2) / lens.width, abs(lens.cy - (lens.height - 1) / 2) / lens.height)
+    told = (
+        f"The lens in {where} has its principal point at ({lens.cx:.1f}, {lens.cy:.1f}), {off:.0%} of its picture of "
+        f"{lens.width} x {lens.height} px off the middle: is it the calibration of another resolution, or are row and "
+        "column exchanged?"
+    )
+    if off > _AT_THE_RIM:
+        raise InputError(f"{told} If pictures were cropped, give the whole one's and camera.crop=[x,y,w,h].")
+    if off > _FAR_OFF:
+        warnings.warn(told, stacklevel=4)
 
 
 def _check_fold(lens: Camera, where: str) -> None:
@@ -54,6 +73,8 @@ def _check_field(lens: Camera, where: str) -> None:
     ends = np.array([[0, lens.cy], [lens.width - 1, lens.cy], [lens.cx, 0], [lens.cx, lens.height - 1]])
     rays, _ = lens.rays(ends)
     angle = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    if lens.fov_deg is not None and lens.fov_deg < _FOV_DEG[0]:
+        raise InputError(f"The lens in {where} has fov_deg={lens.fov_deg:g}: it is the full angle in degrees.")
     field = float(max(angle[0] + angle[1], angle[2] + angle[3]))
     low, high = _FLAT_FOV_DEG if lens.model in ("pinhole", "rational") else _FOV_DEG
     if not low <= field <= high:

@@ -69,6 +69,7 @@ class Said:
         unit_mm: mm a unit of its lengths; None: it does not say, which is mm by custom.
         read_mm: the factor that its reader applies on its own.
         notes: what is odd about it, for people to read.
+        rivals: what it says twice of its spacing, and differently; None: once, or the same.
     """
 
     spacing: bool
@@ -76,6 +77,7 @@ class Said:
     unit_mm: float | None = None
     read_mm: float = 1.0
     notes: tuple[str, ...] = ()
+    rivals: str | None = None
 
 
 def check_said(said: Said, given: ScanHeader, name: str) -> None:
@@ -88,6 +90,11 @@ def check_said(said: Said, given: ScanHeader, name: str) -> None:
         raise InputError(
             f"{name} does not say how far its voxels lie apart: its header lacks the spacing. Export it again with it, "
             "or give it in mm: kidney.header.spacing_mm=[x,y,z]."
+        )
+    if said.rivals is not None and given.spacing_mm is None:
+        raise InputError(
+            f"{name} says two things of how far its voxels lie apart: {said.rivals}. Export it again, or say which is "
+            "right in mm: kidney.header.spacing_mm=[x,y,z]."
         )
     if not said.orientation and given.orientation is None:
         raise InputError(

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 _UNITS_MM = {1: 1000.0, 2: 1.0, 3: 1e-3}
 #: Where sform and qform put a corner of the scan farther apart than this, mm, they tell two places.
 _APART_MM = 1.0
+#: Two spacings in one header that differ by more than this share are two.
+_SAME_SPACING = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,15 +60,16 @@ def nifti_said(path: Path) -> Said:
     header = _read_header(path)
     spacing = all(np.isfinite(v) and v > 0 for v in header.pixdim[1:4])
     notes = []
+    rival = _sform_spacing(header) if spacing and header.sform_code > 0 else None
     unit = _UNITS_MM.get(header.xyzt_units & 7)
     if unit is None:
         notes.append(f"{path.name} does not state its unit; it is taken for mm")
-    if header.sform_code > 0 and header.qform_code > 0 and (apart := _apart(header)) > _APART_MM:
+    if spacing and header.sform_code > 0 and header.qform_code > 0 and (apart := _apart(header)) > _APART_MM:
         notes.append(
             f"{path.name} tells two places: sform and qform put its corners up to {apart:.1f} mm apart. The sform "
             "is used; check the side in preview.png"
         )
-    return Said(spacing, header.sform_code > 0 or header.qform_code > 0, unit, unit or 1.0, tuple(notes))
+    return Said(spacing, header.sform_code > 0 or header.qform_code > 0, unit, unit or 1.0, tuple(notes), rival)
 
 
 def check_nifti_length(path: Path) -> None:
@@ -136,6 +139,14 @@ def _header_2(data: bytes, order: str) -> NiftiHeader:
         int(get("i", 500)[0]), int(get("i", 344)[0]), int(get("i", 348)[0]), get("3d", 352), get("3d", 376),
         np.reshape(get("12d", 400), (3, 4)),
     )  # fmt: skip
+
+
+def _sform_spacing(header: NiftiHeader) -> str | None:
+    """What the header says twice, where its sform has another spacing than its pixdim."""
+    of_sform, of_pixdim = np.linalg.norm(header.srow[:, :3], axis=0), np.array(header.pixdim[1:4])
+    if np.allclose(of_sform, of_pixdim, rtol=_SAME_SPACING):
+        return None
+    return f"pixdim says {of_pixdim.round(4).tolist()}, the sform {of_sform.round(4).tolist()}"
 
 
 def _apart(header: NiftiHeader) -> float:

@@ -1,5 +1,6 @@
 """Scans from files: NIfTI, NRRD and the like, or DICOM; checked before anything large is read."""
 
+import re
 import warnings
 from pathlib import Path
 from types import ModuleType
@@ -52,6 +53,7 @@ def read_scan_here(
     if not path.is_file():
         raise InputError(f"There is no scan {path}. Check kidney.path: a folder of DICOM slices, or a file.")
     if path.name.lower().endswith(_FORMATS):
+        _check_name(path)
         said = _said(path)
         _check_file(sitk, path, largest_voxels)
         if path.name.lower().endswith((".nii", ".nii.gz")):
@@ -89,6 +91,14 @@ def simple_itk() -> ModuleType:
     sitk = import_extra("SimpleITK", "ct", "kidney=ct")
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     return sitk
+
+
+def _check_name(path: Path) -> None:
+    """Refuse a packed NIfTI whose name its reader does not take for one."""
+    with path.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    if packed and path.suffix.lower() == ".nii":
+        raise InputError(f"{path} is packed by gzip, which its name does not say: rename it to {path.name}.gz.")
 
 
 def _said(path: Path) -> Said:
@@ -198,4 +208,5 @@ def _label(text: str, key: str, source: str) -> int:
 
 def _reason(error: RuntimeError) -> str:
     lines = [line.strip() for line in str(error).splitlines() if "ERROR" in line or "[nrrd]" in line]
-    return (lines[-1].rpartition("ERROR: ")[2] if lines else "unknown reason").rstrip(".")
+    text = lines[-1].rpartition("ERROR: ")[2] if lines else "unknown reason"
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text).rstrip(".")

@@ -10,6 +10,8 @@ from ursnav_torch.segmentation.scans.headers import UNITS_MM, Said
 
 #: A header longer than this, or a number with more digits, is none: the readers behind crash on such.
 _LONGEST_HEADER, _LONGEST_NUMBER = 1 << 20, 60
+#: MetaImage's letters for axes that rise to the left, posterior and superior.
+_AS_IT_IS = "RAI"
 _PATIENT_SPACES = {
     "left-posterior-superior", "lps", "right-anterior-superior", "ras", "left-anterior-superior", "las",
     "left-posterior-superior-time", "right-anterior-superior-time", "left-anterior-superior-time",
@@ -41,11 +43,23 @@ def meta_said(path: Path) -> Said:
     """
     fields = _fields(path, "=", b"")
     sizes = _numbers(fields.get("elementspacing", fields.get("elementsize", "")))
-    turned = any(key in fields for key in ("transformmatrix", "rotation", "orientation"))
-    named = re.fullmatch(r"[RLAPSI]{3}", fields.get("anatomicalorientation", "").upper()) is not None
+    matrix = next((fields[key] for key in ("transformmatrix", "rotation", "orientation") if key in fields), None)
+    named = fields.get("anatomicalorientation", "").upper()
     placed = any(key in fields for key in ("offset", "position", "origin"))
-    notes = (_no_origin(path),) if (turned or named) and not placed else ()
-    return Said(int(np.sum(sizes > 0)) >= 3, turned or named, None, 1.0, notes)
+    lies = matrix is not None or named == _AS_IT_IS  # a reader goes by the matrix alone, and without one by this
+    notes = [_no_origin(path)] if lies and not placed else []
+    if matrix is not None and re.fullmatch("[RLAPSI]{3}", named) and named != (told := _from_sides(_numbers(matrix))):
+        notes.append(f"{path.name} tells two orientations: {named} by name and {told} by its matrix, which is used")
+    unit = fields.get("distanceunits", "").lower().strip("?\"' ")
+    return Said(int(np.sum(sizes > 0)) >= 3, lies, _unit({unit} - {""}, path), 1.0, tuple(notes))
+
+
+def _from_sides(matrix: np.ndarray) -> str:
+    """MetaImage's letters, the sides that the voxel axes begin at, of nine direction cosines in LPS, axis by axis."""
+    if matrix.size != 9:
+        return ""
+    axes = matrix.reshape(3, 3)
+    return "".join("RL AP IS".split()[i][int(axis[i] < 0)] for axis in axes for i in [int(np.abs(axis).argmax())])
 
 
 def _fields(path: Path, sign: str, magic: bytes) -> dict[str, str]:
