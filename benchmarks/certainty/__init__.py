@@ -7,7 +7,8 @@
 Every phantom has a VID and is asked with pictures of every kind: the presets, everything widened, and one group of
 faults widened alone. Weights, thresholds and the conformal sets come from the first two thirds of the phantoms, each
 calibrated by the others; the figures are of the last third, which nothing was chosen on, once with all kinds learned
-from, and of every kind once with that kind left out. A flight through each phantom does the same for tracks.
+from, and of every kind once with that kind left out. What is stored is learned in the same way from all of them. A
+flight through each phantom does the same for tracks.
 What was known of each picture is kept in ``work``, so that
 another fit takes seconds; after a change of features or of the network give an empty one. Other arguments:
 ``phantoms=6 pictures=36`` (of a kind) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge
@@ -62,11 +63,10 @@ def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
     """Learn for answers with and without refinement; judge both, the refined ones kind by kind left out, too."""
     count = settings["phantoms"]
     learned_on = max(2, round(count * 2 / 3))
-    models = {}
     for how in ("refined", "nearest"):
         ask = (settings["pictures"], settings["views"], work, how == "refined")
         learning, judging = asked_of(range(learned_on), *ask), asked_of(range(learned_on, count), *ask)
-        models[how] = model = learn_certainty(learning, kinds_without)
+        model = learn_certainty(learning, kinds_without)
         report_told(report, f"{how}: phantoms never seen", _told(model, judging, settings))
         weight = model.regressions.novelty.weight
         report.add(f"{how}: learned", "log-odds off for novelty", "a sd", [weight], n=len(learning))
@@ -75,8 +75,17 @@ def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
             left_out(report, learning, judging, weight, settings)
     track = learn_track(report, range(learned_on), range(learned_on, count), settings, work)
     if settings["save"]:
-        save_packaged(Packaged(current_settings(), models["refined"], models["nearest"], track))
+        every = {how: _every(report, how, settings, work) for how in ("refined", "nearest")}
+        save_packaged(Packaged(current_settings(), every["refined"], every["nearest"], track))
         print("stored with the package", file=sys.stderr)
+
+
+def _every(report: Report, how: str, settings: dict[str, Any], work: Path) -> CertaintyModel:
+    """What all phantoms teach."""
+    asked = asked_of(range(settings["phantoms"]), settings["pictures"], settings["views"], work, how == "refined")
+    model = learn_certainty(asked, kinds_without)
+    report.add(f"{how}: stored", "accepted from confidence", "of 1", [model.threshold(settings["risk"])], n=len(asked))
+    return model
 
 
 def left_out(report: Report, learning: Asked, judging: Asked, weight: float, settings: dict[str, Any]) -> None:

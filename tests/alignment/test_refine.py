@@ -113,15 +113,16 @@ def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refi
 
 
 def test_the_better_half_goes_on_best_first_and_none_that_is_far_below() -> None:
-    def left(*scores: float) -> list[int]:
-        return [
-            i for i, _ in _better_half([(i, Aligned(np.eye(4), AT_CAMERA, s, 1)) for i, s in enumerate(scores)], None)
-        ]
+    def left(*scores: float, odds: list[float] | None = None) -> list[int]:
+        states = [(i, Aligned(np.eye(4), AT_CAMERA, s, 1)) for i, s in enumerate(scores)]
+        return [i for i, _ in _better_half(states, None if odds is None else np.array(odds), None)]
 
     assert left(0.70, 0.72, 0.69, 0.71) == [1, 3]
     assert left(0.70, 0.72, 0.71) == [1, 2]
     assert left(0.70, 0.40, 0.30, 0.20) == [0]
     assert left(-1.0) == [0]
+    assert left(0.70, 0.72, 0.69, 0.71, odds=[3.0, -2.0, 1.0, 0.0]) == [0, 2]  # verified: the scores have no say
+    assert left(0.70, 0.72, odds=[5.0, 0.0]) == [0]
 
 
 def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(

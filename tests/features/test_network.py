@@ -69,7 +69,7 @@ def test_gray_and_equal_color_pictures_read_alike() -> None:
     gray = np.random.default_rng(0).integers(30, 200, (250, 250), dtype=np.uint8)
     one, three = reader.read(gray), reader.read(np.repeat(gray[..., None], 3, 2))
     torch.testing.assert_close(one[0], three[0])
-    assert one[0].shape == (125, 125) and one[1].shape == (2, 125, 125)
+    assert one[0].shape == (5, 125, 125) and one[1].shape == (2, 125, 125)
 
 
 def test_a_plain_view_reads_as_its_own_relief(vid: Vid, phantom: Kidney) -> None:

@@ -17,6 +17,7 @@ from ursnav_torch.localization.evidence import (
     Vote,
     looks,
     nearest_evidence,
+    refined_evidence,
     vote,
 )
 from ursnav_torch.search import Ranking
@@ -74,3 +75,26 @@ def test_looks_tell_sharp_from_dull_and_relief_from_none() -> None:
     assert dull["flat"] == pytest.approx(0.25) and dull["sharpness"] == pytest.approx(0.0, abs=1e-6)
     assert sharp["sharpness"] == pytest.approx(math.log(3.0), abs=1e-3) and sharp["strength"] == dull["strength"]
     assert dull["strength"] == pytest.approx(0.0, abs=0.1) and dull["contrast"] == -1.5
+
+
+def test_where_a_pose_stands_and_what_verification_says_count_for_each_calyx() -> None:
+    rng, pixels = np.random.default_rng(0), 40
+    drawing = SimpleNamespace(
+        seen=np.ones(pixels), value=rng.normal(size=(3, pixels)), slope=rng.normal(size=(2, 3, pixels)),
+        motion=rng.normal(size=(6, 2, pixels)),
+    )  # fmt: skip
+    refined = SimpleNamespace(
+        score=0.7, tried_scores=np.array([0.7, 0.68, 0.6]), tried_log_odds=np.log([6.0, 3.0, 1.0]) + 50, drawing=drawing,
+        T_kidney_camera=np.eye(4), T_start=np.eye(4),
+    )  # fmt: skip
+    nearest = nearest_evidence(ranking([0.1, 0.112], 3.0), said([0.1, 0.112], [4, 2]), PICTURE, 1.0)  # type: ignore[arg-type]
+    firm = np.array([0.0, 0.0, 0.25, 0.0, 0.75, 0.0])
+    tried = np.array([4, 2, 4])
+    e = refined_evidence(nearest, refined, tried, 4, 4, firm, 1.0)  # type: ignore[arg-type]
+    assert e.numbers.shape == (len(NUMBERS),) and e.calyces.shape == (6, len(CALYX_NUMBERS))
+    of = dict(zip(NUMBERS, e.numbers, strict=True))
+    assert of["firm"] == pytest.approx(math.log(3)) and of["verified"] == pytest.approx(math.log(7 / 3))
+    share, told = (np.exp(e.calyces[:, CALYX_NUMBERS.index(name)]) for name in ("firm", "verified"))
+    np.testing.assert_allclose(share[[2, 4]], [0.25, 0.75])
+    np.testing.assert_allclose(told[[2, 4]], [0.3, 0.7])
+    assert share[0] == told[0] == share[5] > 0  # nobody there: improbable, and still a number

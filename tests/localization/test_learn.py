@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.localization.evidence import NUMBERS, REFINED_NUMBERS, Evidence
+from ursnav_torch.localization.evidence import CALYX_NUMBERS, NUMBERS, REFINED_NUMBERS, Evidence
 from ursnav_torch.localization.fitting import NOTHING
 from ursnav_torch.localization.learn import NONE_SHARE, ask, learn_confidence, simulated_queries
 from ursnav_torch.localization.learned import asked_from_table
@@ -34,7 +34,9 @@ class AlwaysFirst:
         calyces = len(self.vid.kidney.calyces) + 1
         nearest = Evidence(1, np.full(len(NUMBERS) - REFINED_NUMBERS, 0.5), np.ones((calyces, 2)))
         return SimpleNamespace(
-            evidence=Evidence(0, np.ones(len(NUMBERS)), np.ones((calyces, 5))), nearest=nearest, calyx=0
+            evidence=Evidence(0, np.ones(len(NUMBERS)), np.ones((calyces, len(CALYX_NUMBERS)))),
+            nearest=nearest,
+            calyx=0,
         )
 
     def pose(self, _: SimpleNamespace) -> np.ndarray:

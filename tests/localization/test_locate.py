@@ -87,14 +87,16 @@ def test_a_refined_pose_that_contradicts_the_votes_must_fit_better(
     other = next(i for i, calyx in enumerate(vid.calyx.tolist()) if calyx not in (plain.calyx, -1))
     asked = Localizer(vid)
     features, refiner = asked.features(picture), Refiner(vid)
-    for score, calyx in ((0.69, plain.calyx), (0.71, int(vid.calyx[other]))):  # on either side of 0.6 + 0.1
-        elsewhere = replace(refiner.refine(features, [vid.T_kidney_camera[other]]), score=score)
+    there = int(vid.calyx[other])
+    for score, verified, calyx in ((0.69, False, plain.calyx), (0.71, False, there), (0.5, True, there)):
+        # on either side of 0.6 + 0.1; where the network compared them, it has the last word
+        elsewhere = replace(refiner.refine(features, [vid.T_kidney_camera[other]]), score=score, verified=verified)
         elsewhere = replace(elsewhere, T_kidney_camera=vid.T_kidney_camera[other])
         monkeypatch.setattr(Refiner, "refine", lambda self, *given, elsewhere=elsewhere: elsewhere)
         found = asked.locate(picture)
         assert found.calyx == calyx
-        there = np.linalg.norm(found.T_kidney_camera[:3, 3] - vid.T_kidney_camera[other, :3, 3])
-        assert (there < 1e-6) == (calyx != plain.calyx)  # far from each other, the one or the other, nothing between
+        away = np.linalg.norm(found.T_kidney_camera[:3, 3] - vid.T_kidney_camera[other, :3, 3])
+        assert (away < 1e-6) == (calyx != plain.calyx)  # far from each other, the one or the other, nothing between
         monkeypatch.undo()
 
 

@@ -71,7 +71,7 @@ def test_every_choice_composes(root: str, group: str, choice: str) -> None:
         ("match", "search=default", SearchSettings()),
         ("match", "alignment=default", RefinementSettings()),
         ("track", "search=video", VIDEO_SEARCH),
-        ("track", "alignment=video", RefinementSettings(8, iterations=6, fine_rounds=1)),
+        ("track", "alignment=video", RefinementSettings(8, iterations=6, fine_rounds=1, at_first=8, verify=False)),
         ("track", "tracking=default", TrackSettings()),
         ("navigate", "tracking=default", TrackSettings()),
         ("navigate", "exploration=default", ExplorationSettings()),

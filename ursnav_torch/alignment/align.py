@@ -143,9 +143,11 @@ class Aligner:
             T_kidney_camera, light, grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32)
         )
 
-    def relief(self, T_kidney_camera: Array, light: Array) -> Floats:
-        """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have."""
-        return self.grid.relief(self._lit(T_kidney_camera, light[None])[0])[..., 0]
+    def look(self, T_kidney_camera: Array, light: Array) -> tuple[Floats, Floats]:
+        """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have, and
+        the wall's distance (H, W) in mm, inf without a wall."""
+        gray, distance = self._lit(T_kidney_camera, light[None])
+        return self.grid.relief(gray)[..., 0], distance
 
     def _lit(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
         """Gray values (H, W, M) under M lights (M, 5), and the wall's distance (H, W), inf without a wall."""

@@ -74,17 +74,18 @@ class AlignGrid:
 
     def of_picture(self, features: Features) -> Fields:
         """Fields of a picture from its relief, weighted by how much of each pixel is valid."""
-        relief = self._small(features.fields[0])
+        relief = self.small(features.fields[0])
         value = self._fields((relief * self.mask)[..., None])[..., 0]
-        weight = self._counted * self._small(features.valid) if features.valid.numel() else self._counted
+        weight = self._counted * self.small(features.valid) if features.valid.numel() else self._counted
         planes, x, y = (np.ascontiguousarray(field.transpose(2, 0, 1)) for field in (value, *_slopes(value)))
         return Fields(planes, x, y, weight)
 
-    def _small(self, image: Tensor) -> Floats:
-        """A picture (h, w) at the extractor's working size at this one (H, W)."""
+    def small(self, image: Tensor) -> Floats:
+        """A picture (..., h, w) at the extractor's working size at this one (..., H, W)."""
         size = (self.camera.height, self.camera.width)
-        small = torch.nn.functional.interpolate(image[None, None], size, mode="bilinear", antialias=True)
-        return np.asarray(small[0, 0].numpy(), np.float32)
+        planes = image.reshape(1, -1, *image.shape[-2:])
+        small = torch.nn.functional.interpolate(planes, size, mode="bilinear", antialias=True)
+        return np.asarray(small.reshape(*image.shape[:-2], *size).numpy(), np.float32)
 
     def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
         """Fields (M, 3, N) of drawings (H, W, M) in gray values 0 to 255, and the first one's slopes (2, 3, N)."""

@@ -1,4 +1,4 @@
-"""From the nearest views to the true pose: the best few aligned with the picture, the best kept."""
+"""From the nearest views to the true pose: the best few aligned with the picture and verified, the best kept."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ursnav_torch.alignment.align import Aligned, Aligner, Drawing
 from ursnav_torch.alignment.fields import AlignGrid, Fields, Floats
 from ursnav_torch.alignment.light import AT_CAMERA
+from ursnav_torch.alignment.verification import Verifier
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
@@ -21,8 +22,10 @@ Array = NDArray[np.float64]
 #: What is known of poses (K, 4, 4) before they are looked at, in units of the score (K,).
 Prior = Callable[[Array], Array]
 
-#: A hypothesis whose score is this much below the best one's is given up.
-MARGIN = 0.05
+#: A hypothesis whose score is this much below the best one's is given up; and one whose log-odds are, once verified.
+MARGIN, LOG_ODDS_MARGIN = 0.05, 4.0
+#: Log-odds that a score of 1 is worth before a network has learned, see `alignment.verification`.
+LOG_ODDS_OF_SCORE = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +34,36 @@ class RefinementSettings:
 
     Attributes:
         hypotheses: candidates that are tried; after every round the better half goes on, or fewer.
+        at_first: so many of them are tried first, and the others only where none of these has a score of ``enough``.
+        enough: such a score, on the coarser grid, is right: of learned phantoms' pictures with one (38 %) no other
+            hypothesis was, ``python -m benchmarks.verification``.
         iterations: steps of one alignment at most.
         coarse_px: shorter side of the drawings of the first round, which reaches farther.
         fine_px: shorter side of the drawings of the other rounds.
         fine_rounds: how many of those there are; each draws the kidney from where the last one ended.
         clearance_mm: the camera stays this far from the wall (times the kidney's scale).
+        verify: whether hypotheses are ranked by a network that compares them with the picture, see
+            `alignment.verification`, where the picture was read; else by the score alone.
     """
 
-    hypotheses: int = 3
+    hypotheses: int = 6
     iterations: int = 8
     coarse_px: int = 40
     fine_px: int = 62
     fine_rounds: int = 2
     clearance_mm: float = 0.5
+    at_first: int = 3
+    enough: float = 0.7
+    verify: bool = True
 
     def __post_init__(self) -> None:
-        sizes = (self.coarse_px, self.fine_px)
-        if min(self.hypotheses, self.iterations, self.fine_rounds) < 1 or min(sizes) < 24 or not self.clearance_mm >= 0:
+        sizes, counts = (
+            (self.coarse_px, self.fine_px),
+            (self.hypotheses, self.at_first, self.iterations, self.fine_rounds),
+        )
+        if min(counts) < 1 or min(sizes) < 24 or not self.clearance_mm >= 0:
             raise InputError(
-                "Refinement needs hypotheses, iterations and fine_rounds >= 1, coarse_px and fine_px >= 24 and "
+                "Refinement needs hypotheses, at_first, iterations and fine_rounds >= 1, coarse_px, fine_px >= 24 and "
                 f"clearance_mm >= 0; got {self}."
             )
 
@@ -67,7 +81,8 @@ class Refined:
         drawing: the kidney drawn close to that pose, at the finer size.
         T_start: (4, 4) the candidate that it came from.
         tried: (H, 4, 4) every hypothesis after the coarse round, best first; ``tried_scores`` (H,) theirs, on the
-            coarser grid.
+            coarser grid, and ``tried_log_odds`` (H,) of their being the one, up to a constant, 0 without a network.
+        verified: whether a network told which hypothesis it is, and not the score alone.
     """
 
     T_kidney_camera: Array
@@ -79,6 +94,8 @@ class Refined:
     T_start: Array
     tried: Array
     tried_scores: Array
+    tried_log_odds: Array
+    verified: bool = False
 
 
 class Refiner:
@@ -87,6 +104,9 @@ class Refiner:
     Args:
         vid: its kidney, lens and extractor settings are used, its views are not.
         settings: how much work is done.
+
+    Attributes:
+        finest: draws and aligns on the finer grid.
 
     Raises:
         InputError: the VID's features have no relief to align.
@@ -102,10 +122,11 @@ class Refiner:
         self._lumen = vid.lumen
         self._clearance = scaled(self.settings, vid.kidney.scale).clearance_mm
         scene = RayScene(vid.kidney.mesh)
-        self._aligners = [
+        self._coarsest, self.finest = (
             Aligner(scene, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)
             for size in (self.settings.coarse_px, self.settings.fine_px)
-        ]
+        )
+        self._verifier = Verifier(self.finest, vid.kidney.scale) if self.settings.verify else None
 
     def refine(
         self,
@@ -127,38 +148,64 @@ class Refiner:
         Raises:
             InputError: no candidate, or one that is no rigid transform.
         """
+        tried = candidates[: self.settings.hypotheses]
+        first = self.settings.at_first
+        coarse = self.coarsely(features, tried[:first], light, light_known)
+        if len(tried) > first and max(state.score for state in coarse) < self.settings.enough:
+            coarse += self.coarsely(features, tried[first:], light, light_known)
+        odds = self._log_odds(features, coarse)
+        states = _better_half(list(enumerate(coarse)), odds, prior)
+        taken = sum(state.iterations for state in coarse)
+        for _ in range(self.settings.fine_rounds):
+            fine = self.finely(features, [state for _, state in states], light_known)
+            taken += sum(state.iterations for state in fine)
+            numbered = [(i, state) for (i, _), state in zip(states, fine, strict=True)]
+            states = _better_half(numbered, self._log_odds(features, fine), prior)
+        i, best = states[0]
+        assert best.drawing is not None
+        scores = np.array([state.score for state in coarse])
+        ends = np.argsort(-scores, kind="stable")
+        poses = np.stack([coarse[end].T_kidney_camera for end in ends])
+        known = np.zeros(len(coarse)) if odds is None else odds
+        found = (best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
+        return Refined(*found, np.asarray(tried[i], float), poses, scores[ends], known[ends], odds is not None)
+
+    def _log_odds(self, features: Features, states: Sequence[Aligned]) -> Array | None:
+        """Log-odds (K,) of hypotheses, up to a constant; None where they are not verified."""
+        if self._verifier is None or not features.read.numel():
+            return None
+        return self._verifier.log_odds(features, states) if len(states) > 1 else np.zeros(1)
+
+    def coarsely(
+        self, features: Features, candidates: Sequence[Array], light: Array | None = None, light_known: bool = False
+    ) -> list[Aligned]:
+        """The first round: every candidate (4, 4) aligned on the coarser grid; arguments and errors as of `refine`."""
         if not len(candidates):
             raise InputError("Refinement needs at least one candidate pose, got none.")
         start = AT_CAMERA if light is None else np.asarray(light, float)
-        tried = candidates[: self.settings.hypotheses]
-        states = [(i, Aligned(check_rigid(T, "a candidate"), start, -1.0, 0)) for i, T in enumerate(tried)]
-        taken, after_coarse = 0, states
-        coarse, fine = self._aligners
-        for aligner, rounds in ((coarse, 1), (fine, self.settings.fine_rounds)):
-            with torch.inference_mode():
-                picture = aligner.grid.of_picture(features)
-            for _ in range(rounds):
-                states = [(i, self._once(aligner, picture, state, light_known)) for i, state in states]
-                taken += sum(state.iterations for _, state in states)
-                after_coarse = states if aligner is coarse else after_coarse
-                states = _better_half(states, prior)
-        i, best = states[0]
-        assert best.drawing is not None
-        ends = sorted((state for _, state in after_coarse), key=lambda state: -state.score)
-        poses, scores = np.stack([end.T_kidney_camera for end in ends]), np.array([end.score for end in ends])
-        found = (best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
-        return Refined(*found, np.asarray(tried[i], float), poses, scores)
+        states = [Aligned(check_rigid(T, "a candidate"), start, -1.0, 0) for T in candidates]
+        return self._round(self._coarsest, features, states, light_known)
+
+    def finely(self, features: Features, states: Sequence[Aligned], light_known: bool = False) -> list[Aligned]:
+        """Another round: every one aligned again, from where it ended, on the finer grid."""
+        return self._round(self.finest, features, states, light_known)
 
     def score(self, features: Features, refined: Refined) -> float:
         """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""
-        aligner = self._aligners[-1]
         with torch.inference_mode():
-            picture = aligner.grid.of_picture(features)
-        return aligner.score(picture, refined.drawing, refined.T_kidney_camera, refined.light)
+            picture = self.finest.grid.of_picture(features)
+        return self.finest.score(picture, refined.drawing, refined.T_kidney_camera, refined.light)
 
     def relief(self, refined: Refined) -> Floats:
         """The relief (H, W), on the finer grid, of the drawing that a refined pose and its light give."""
-        return self._aligners[-1].relief(refined.T_kidney_camera, refined.light)
+        return self.finest.look(refined.T_kidney_camera, refined.light)[0]
+
+    def _round(
+        self, aligner: Aligner, features: Features, states: Sequence[Aligned], light_known: bool
+    ) -> list[Aligned]:
+        with torch.inference_mode():
+            picture = aligner.grid.of_picture(features)
+        return [self._once(aligner, picture, state, light_known) for state in states]
 
     def _once(self, aligner: Aligner, picture: Fields, old: Aligned, light_known: bool) -> Aligned:
         """One alignment, held back on its way as far as the wall demands."""
@@ -175,10 +222,15 @@ class Refiner:
         return held
 
 
-def _better_half(states: list[tuple[int, Aligned]], prior: Prior | None) -> list[tuple[int, Aligned]]:
-    """The better half of numbered hypotheses, best first, without those `MARGIN` below the best."""
-    worth = np.array([state.score for _, state in states])
+def _better_half(
+    states: list[tuple[int, Aligned]], log_odds: Array | None, prior: Prior | None
+) -> list[tuple[int, Aligned]]:
+    """The better half of numbered hypotheses, best first, without those far below the best: by log-odds (K,) where
+    they were verified, else by score."""
+    worth, margin, unit = np.array([state.score for _, state in states]), MARGIN, 1.0
+    if log_odds is not None:
+        worth, margin, unit = log_odds, LOG_ODDS_MARGIN, LOG_ODDS_OF_SCORE
     if prior is not None:
-        worth = worth + prior(np.stack([state.T_kidney_camera for _, state in states]))
-    ranked = [i for i in np.argsort(-worth, kind="stable") if worth[i] >= worth.max() - MARGIN]
+        worth = worth + unit * prior(np.stack([state.T_kidney_camera for _, state in states]))
+    ranked = [i for i in np.argsort(-worth, kind="stable") if worth[i] >= worth.max() - margin]
     return [states[i] for i in ranked[: (len(states) + 1) // 2]]

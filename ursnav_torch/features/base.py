@@ -13,6 +13,8 @@ from ursnav_torch.features.foreground import ForegroundBody
 
 #: `Features.valid` of a picture in which nothing lies before the wall.
 NOTHING_BEFORE = torch.zeros(0, 0)
+#: `Features.read` of a picture that no network read.
+NOTHING_READ = torch.zeros(0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,8 @@ class Features:
         grain: how much more contrast (log10) fine structure has than coarse: high for noise.
         valid: (h, w) 0 to 1, how much of each pixel of the fields is wall; empty where nothing lies before it.
         bodies: stones and instruments before the wall, the largest first.
+        read: (5, h, w) what the wall network read: the relief, its log variance, the log depth less a constant, its
+            log variance, and the probability that nothing lies before the wall; empty for a drawn view.
     """
 
     edges: EdgePoints
@@ -62,6 +66,7 @@ class Features:
     grain: float = 0.0
     valid: Tensor = NOTHING_BEFORE
     bodies: tuple[ForegroundBody, ...] = ()
+    read: Tensor = NOTHING_READ
 
 
 class Extractor(Protocol):

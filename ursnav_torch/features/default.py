@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera, mask_text
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, EdgePoints, Features
+from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, NOTHING_READ, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
@@ -100,9 +100,10 @@ class DefaultExtractor:
         grain = local_contrast(log_image, self._small_mask, self._around) - contrast
         relief, valid = flatten(log_image, self._small_mask, self._around), self._small_mask
         bodies: tuple[ForegroundBody, ...] = ()
+        read = NOTHING_READ
         if not virtual and self._network is not None:
             read, before = self._network.read(image)
-            relief = blend(relief, read, self._small_mask, self.settings.learned)
+            relief = blend(relief, read[0], self._small_mask, self.settings.learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
         fields = self._fields(relief)
@@ -112,7 +113,7 @@ class DefaultExtractor:
         maps = polar_maps(fields, self._polar)[0]
         if not bodies and not self._partial:
             valid = NOTHING_BEFORE
-        return Features(found, maps, edge_image, fields, contrast, grain, valid, bodies)
+        return Features(found, maps, edge_image, fields, contrast, grain, valid, bodies, read)
 
     def _small_log(self, gray: Tensor) -> Tensor:
         """The log of a gray picture (H, W), without stripes, at the working size (h, w), smoothed."""

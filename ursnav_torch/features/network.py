@@ -110,15 +110,20 @@ class WallReader:
         )
 
     def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
-        """The wall's relief (h, w) in a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or
-        an instrument before it; clutter is small, and the relief knows of it."""
+        """`Features.read` (5, h, w) of a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or an
+        instrument before the wall; clutter is small, and the relief knows of it."""
         small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
         color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
         picture = torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
         found = read_wall(picture, self._rays[None])
-        solid = functional.interpolate(found.odds[:, :2], scale_factor=CELL, mode="bilinear", align_corners=False)
+        odds = found.odds.sigmoid()
+        of_cells = torch.stack([found.log_variance, found.log_depth, found.depth_log_variance, 1 - odds.amax(1)], 1)
+        cells = functional.interpolate(
+            torch.cat([of_cells, found.odds[:, :2]], 1), scale_factor=CELL, mode="bilinear", align_corners=False
+        )
         width, height = self._size
-        return found.relief[0, :height, :width] * self._mask, solid[0, :, :height, :width].sigmoid()
+        cells, relief = cells[0, :, :height, :width], found.relief[:, :height, :width] * self._mask
+        return torch.cat([relief, cells[:4]]), cells[4:].sigmoid()
 
 
 def lens_rays(camera: Camera) -> Tensor:

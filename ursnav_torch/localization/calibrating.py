@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 #: Groups of difficulty, as many pictures in each; fewer where there would be fewer than this in one.
 GROUPS, LEAST_IN_GROUP = 6, 40
 #: Log-odds taken off for novelty that are tried on kinds left out.
-NOVELTY_WEIGHTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
+NOVELTY_WEIGHTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 #: How far a kidney's own slope and shift of the log-odds are expected from 1 and 0.
 SLOPE_SD, SHIFT_SD = 0.15, 0.5
 _THRESHOLDS = 200

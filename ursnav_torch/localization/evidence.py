@@ -23,10 +23,13 @@ FARTHEST = 0.15
 LOOKS = ("contrast", "grain", "flat", "strength", "tails", "sharpness")
 #: Numbers of an answer; those from ``score`` on are the alignment's.
 NUMBERS = ("distance", "margin", "vote", "spread_mm", "spread_deg", *LOOKS,
-           "score", "agrees", "lead", "curvature_mm", "curvature_deg", "moved_mm")  # fmt: skip
+           "score", "agrees", "lead", "curvature_mm", "curvature_deg", "moved_mm", "firm",
+           "verified")  # fmt: skip
 #: Numbers of each calyx; those from ``refined`` on are the alignment's.
-CALYX_NUMBERS = ("vote", "behind", "refined", "refined_score", "aligned_behind")
-REFINED_NUMBERS, REFINED_CALYX_NUMBERS = 6, 3
+CALYX_NUMBERS = ("vote", "behind", "refined", "refined_score", "aligned_behind", "firm", "verified")
+REFINED_NUMBERS, REFINED_CALYX_NUMBERS = 8, 5
+#: Shares of labels and probabilities count no nearer to 0 and 1 than this.
+_LEAST_SHARE = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,7 @@ def nearest_evidence(ranking: Ranking, said: Vote, features: Features, scale: fl
 
 
 def refined_evidence(
-    nearest: Evidence, refined: Refined, tried: Calyces, calyx: int, answer: int, scale: float
+    nearest: Evidence, refined: Refined, tried: Calyces, calyx: int, answer: int, firm: Array, scale: float
 ) -> Evidence:
     """Evidence with the alignment's added.
 
@@ -97,6 +100,7 @@ def refined_evidence(
         tried: (H,) the calyx that each of ``refined.tried`` observes.
         calyx: the calyx that the refined pose observes.
         answer: what is answered in the end.
+        firm: (C + 1,) share of the poses around the answer's that observe each calyx, see `firmness.label_shares`.
         scale: the kidney's.
     """
     count = len(nearest.calyces)
@@ -108,9 +112,14 @@ def refined_evidence(
     lead = float(np.delete(behind, calyx % count).min(initial=FARTHEST) - behind[calyx % count])
     mm, turn = unit_noise_sd(refined.drawing)
     moved = float(np.linalg.norm(refined.T_kidney_camera[:3, 3] - refined.T_start[:3, 3])) / scale
+    odds = np.exp(refined.tried_log_odds - refined.tried_log_odds.max())
+    verified = np.bincount(tried % count, odds / odds.sum(), minlength=count)
+    share, told = (np.clip(p, _LEAST_SHARE, 1 - _LEAST_SHARE) for p in (firm, verified))
+    of_answer = [float(np.log(p / (1 - p))[answer % count]) for p in (share, told)]
     numbers = [refined.score, float(calyx == nearest.answer), lead, math.log(mm / scale + 1e-6),
-               math.log(turn + 1e-6), math.log(moved + 0.1)]  # fmt: skip
-    calyces = np.column_stack([nearest.calyces, own, own * (refined.score - 0.6), behind])
+               math.log(turn + 1e-6), math.log(moved + 0.1), *of_answer]  # fmt: skip
+    of_calyces = (own, own * (refined.score - 0.6), behind, np.log(share), np.log(told))
+    calyces = np.column_stack([nearest.calyces, *of_calyces])
     return Evidence(answer, np.append(nearest.numbers, numbers), calyces)
 
 

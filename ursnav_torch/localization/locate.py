@@ -15,6 +15,7 @@ from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization.answers import Candidate, Judgement, Location
 from ursnav_torch.localization.certainty import Certainty
 from ursnav_torch.localization.evidence import nearest_evidence, refined_evidence, vote, vote_weight
+from ursnav_torch.localization.firmness import label_shares
 from ursnav_torch.localization.learned import certainty_model
 from ursnav_torch.localization.settings import LocalizationSettings
 from ursnav_torch.matching import Matching
@@ -140,16 +141,21 @@ class Localizer:
         nearest = nearest_evidence(ranking, said, features, scale)
         if self._refiner is None:
             return Judgement(ranking, calyces, said.calyx, said.calyx, nearest, nearest, None, False)
-        starts = self._distinct(ranking.T_kidney_camera, self._refiner.settings.hypotheses)
-        refined = self._refiner.refine(features, [self._mean_of_views(ranking, i) for i in starts])
+        refined = self._refiner.refine(features, self.starts(ranking, self._refiner.settings.hypotheses))
         poses = np.concatenate([refined.T_kidney_camera[None], refined.tried])
         calyx, *tried = observed_calyx(poses, self.vid.kidney, self.vid.lumen).tolist()
         s = self.settings
         needed = s.min_score_to_override_calyx + (s.override_margin if calyx != said.calyx else 0.0)
-        believed = refined.score >= needed
+        believed = refined.verified or refined.score >= needed
         answer = calyx if believed else said.calyx
-        full = refined_evidence(nearest, refined, np.array(tried), calyx, answer, scale)
+        stood = refined.T_kidney_camera if believed else self._mean_of_views(ranking, int((calyces == answer).argmax()))
+        firm = label_shares(stood, self.vid.kidney, self.vid.lumen)
+        full = refined_evidence(nearest, refined, np.array(tried), calyx, answer, firm, scale)
         return Judgement(ranking, calyces, answer, said.calyx, nearest, full, refined, believed)
+
+    def starts(self, ranking: Ranking, most: int) -> list[Array]:
+        """Poses (4, 4) to refine, at most so many: places of a ranking, best first, none near one before."""
+        return [self._mean_of_views(ranking, i) for i in self._distinct(ranking.T_kidney_camera, most)]
 
     def pose(self, found: Judgement) -> Array:
         """The answer's pose (4, 4)."""

@@ -116,9 +116,9 @@ class Tracker:
             )
         self.vid, self.lumen = vid, vid.lumen
         self.settings = s = scaled(settings or TrackSettings(), vid.kidney.scale)
-        self._refiner = Refiner(
-            vid, refinement or RefinementSettings(s.challenger.starts + 3, iterations=6, fine_rounds=1)
-        )
+        starts = s.challenger.starts + 3
+        video = RefinementSettings(starts, iterations=6, fine_rounds=1, at_first=starts, verify=False)
+        self._refiner = Refiner(vid, refinement or video)
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
         self._smooth = PoseFilter(s.smoothing)
