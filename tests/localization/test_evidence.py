@@ -84,8 +84,8 @@ def test_where_a_pose_stands_and_what_verification_says_count_for_each_calyx() -
         motion=rng.normal(size=(6, 2, pixels)),
     )  # fmt: skip
     refined = SimpleNamespace(
-        score=0.7, tried_scores=np.array([0.7, 0.68, 0.6]), tried_log_odds=np.log([6.0, 3.0, 1.0]) + 50, drawing=drawing,
-        T_kidney_camera=np.eye(4), T_start=np.eye(4),
+        score=0.7, tried_scores=np.array([0.7, 0.68, 0.6]), tried_log_odds=np.log([6.0, 3.0, 1.0]) + 50,
+        drawing=drawing, T_kidney_camera=np.eye(4), T_start=np.eye(4),
     )  # fmt: skip
     nearest = nearest_evidence(ranking([0.1, 0.112], 3.0), said([0.1, 0.112], [4, 2]), PICTURE, 1.0)  # type: ignore[arg-type]
     firm = np.array([0.0, 0.0, 0.25, 0.0, 0.75, 0.0])
