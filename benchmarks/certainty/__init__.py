@@ -9,10 +9,10 @@ faults widened alone. Weights, thresholds and the conformal sets come from the f
 calibrated by the others; the figures are of the last third, which nothing was chosen on, once with all kinds learned
 from, and of every kind once with that kind left out. What is stored is learned in the same way from all of them. A
 flight through each phantom does the same for tracks.
-What was known of each picture is kept in ``work``, so that
-another fit takes seconds; after a change of features or of the network give an empty one. Other arguments:
-``phantoms=6 pictures=36`` (of a kind) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge
-what the package knows) ``out=FILE.json``.
+What was known of each picture is kept in ``work``, so that another fit takes seconds; after a change of features or of
+a network give an empty one. Other arguments: ``phantoms=6 pictures=36`` (of a kind) ``flight=80`` (pictures of a
+flight) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge what the package knows)
+``out=FILE.json``.
 """
 
 import sys
@@ -35,8 +35,8 @@ from ursnav_torch.localization.fitting import Asked
 from ursnav_torch.localization.learned import Packaged, save_packaged
 
 DEFAULTS = {
-    "phantoms": 6, "pictures": 36, "views": 120, "work": "", "data": "", "save": False, "learn": True, "risk": 0.01,
-    "probability": 0.95, "out": "",
+    "phantoms": 6, "pictures": 36, "flight": 80, "views": 120, "work": "", "data": "", "save": False, "learn": True,
+    "risk": 0.01, "probability": 0.95, "out": "",
 }  # fmt: skip
 
 

@@ -33,7 +33,7 @@ _LEAST = 1e-3
 def learn_track(report: Report, learned_on: Sequence[int], judged: Sequence[int], settings: dict[str, Any],
                 work: Path) -> TrackWeights:  # fmt: skip
     """Weights from the flights of some phantoms, judged on those of others."""
-    pictures, views = 2 * settings["pictures"], settings["views"]
+    pictures, views = settings["flight"], settings["views"]
     learning, judging = (
         list(chain.from_iterable(_rows(seed, pictures, views, work) for seed in seeds))
         for seeds in (learned_on, judged)
