@@ -6,7 +6,7 @@ from ursnav_torch.localization.evidence import CALYX_NUMBERS, NUMBERS, Evidence
 from ursnav_torch.localization.fitting import NOTHING, Asked
 
 CALYCES = 5
-_SCORE, _DISTANCE = NUMBERS.index("score"), NUMBERS.index("distance")
+_SCORE, _DISTANCE, _FIRM = (NUMBERS.index(name) for name in ("score", "distance", "firm"))
 
 
 def made_up(count: int, seed: int = 0, shift: float = 0.0, kidneys: int = 3) -> Asked:
@@ -20,6 +20,7 @@ def made_up(count: int, seed: int = 0, shift: float = 0.0, kidneys: int = 3) -> 
         shown[i] = NOTHING if nothing else answer if right else true
         numbers = rng.normal(size=len(NUMBERS))
         numbers[_SCORE], numbers[_DISTANCE] = ease, 4.0 * nothing + rng.normal()
+        numbers[_FIRM] = 12.0  # nobody stands on a border
         calyces = rng.normal(0.0, 0.3, (CALYCES + 1, len(CALYX_NUMBERS)))
         calyces[answer, 0] += 2.0 + 0.5 * ease
         if not nothing:

@@ -8,8 +8,8 @@ import pytest
 
 from tests.localization.population import CALYCES, made_up
 from ursnav_torch.localization.calibrating import kidneys_own, learn_certainty
-from ursnav_torch.localization.certainty import LEVELS, Certainty, CertaintyModel, conformal_set, risk_bound
-from ursnav_torch.localization.evidence import LOOKS, NUMBERS
+from ursnav_torch.localization.certainty import LEVELS, Certainty, CertaintyModel, both_hold, conformal_set, risk_bound
+from ursnav_torch.localization.evidence import LOOKS, NUMBERS, REFINED_NUMBERS
 from ursnav_torch.localization.fitting import Asked, fit_quantile
 
 
@@ -89,13 +89,12 @@ def test_a_smaller_risk_asks_for_more_confidence(model: CertaintyModel) -> None:
     thresholds = [model.threshold(risk) for risk in (0.3, 0.1, 0.03, 0.01)]
     assert thresholds == sorted(thresholds) and thresholds[0] < thresholds[-1]
     unproven = replace(model, accepted=((0.99, 20, 0),))
-    assert unproven.threshold(0.01) == 0.99 and unproven.threshold(0.2) == 0.8 + 0.19  # 20 right ones prove 11 %
+    assert unproven.threshold(0.01) == 0.99 and unproven.threshold(0.2) == 0.8 + 0.19  # 20 right ones prove 5 %
 
 
-def test_the_risks_bound_is_clopper_and_pearsons() -> None:
-    assert risk_bound(0, 229) == pytest.approx(0.01, abs=1e-4)  # 1 - 0.1 ** (1 / 229)
-    assert risk_bound(0, 10) == pytest.approx(1 - 0.1**0.1) and risk_bound(5, 5) == 1.0
-    assert risk_bound(3, 100) > 0.03
+def test_the_risks_bound_counts_the_next_answer_as_wrong() -> None:
+    assert risk_bound(0, 99) == pytest.approx(0.01) and risk_bound(2, 299) == pytest.approx(0.01)
+    assert risk_bound(0, 0) == 1.0 and risk_bound(3, 99) > 0.03
 
 
 def test_what_looks_like_nothing_learned_from_is_believed_less(model: CertaintyModel, unseen: Asked) -> None:
@@ -145,3 +144,15 @@ def test_quantile_regression_leaves_the_share_asked_for_above() -> None:
 
 def test_levels_ascend() -> None:
     assert list(LEVELS) == sorted(LEVELS)
+
+
+def test_a_pose_on_the_border_of_two_calyces_is_not_made_sure_by_a_good_fit() -> None:
+    numbers = np.zeros((3, len(NUMBERS)))
+    numbers[:, NUMBERS.index("firm")] = [5.0, 0.0, -3.0]
+    for place in (2.0, 8.0):
+        z = both_hold(np.full(3, place), numbers, (0.0, 1.0))
+        assert np.all(np.diff(z) < 0) and z[1] < 0.0 and z[2] < -3.0 and z[0] < place
+    odds = np.exp(-both_hold(np.array([1.0]), numbers[:1], (0.5, 2.0)))
+    assert odds == pytest.approx(np.exp(-1.0) + np.exp(-10.5))  # odds of failing add
+    nearest = numbers[:, :-REFINED_NUMBERS]
+    np.testing.assert_array_equal(both_hold(np.array([2.0, 8.0, 1.0]), nearest, (0.0, 1.0)), [2.0, 8.0, 1.0])

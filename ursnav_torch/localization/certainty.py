@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 from ursnav_torch.localization.evidence import LOOKS, NUMBERS, Evidence
 
@@ -17,10 +16,9 @@ FARTHEST_SD = 4.0
 MOST_LOG_ODDS = 8.0
 #: Probabilities that sets are kept for; one in between is answered by the next above.
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.925, 0.95, 0.96, 0.97, 0.98, 0.99, 0.995)
-#: Chance that the accepted are wrong more often than `LocalizationSettings.risk` says (Clopper and Pearson 1934).
-RISK_DOUBT = 0.1
 #: Added to errors before their logarithm is taken, mm and degrees: what is smaller does not matter.
 FLOOR_MM, FLOOR_DEG = 0.02, 0.1
+_FIRM_AT = NUMBERS.index("firm")
 _LOOKS_AT = slice(NUMBERS.index(LOOKS[0]), NUMBERS.index(LOOKS[0]) + len(LOOKS))
 
 
@@ -73,6 +71,7 @@ class Regressions:
         calyx: weights (F + 1 + 1 + N) of a conditional logit: the calyx numbers, a constant of "none", and constant
             and numbers of "nothing to be seen".
         confidence: weights (1 + N + 1) of a logistic regression (Platt 1999): constant, numbers, answer's log-odds.
+        border: constant and weight of the number ``firm`` in the log-odds that a right pose names the right calyx.
         position, direction: weights (1 + N + 3) of the logarithm of the errors' 68 % quantile (Koenker and Bassett
             1978).
         novelty: how unlike the pictures learned from a picture is.
@@ -82,6 +81,7 @@ class Regressions:
     spread: Floats
     calyx: Floats
     confidence: Floats
+    border: tuple[float, float]
     position: Floats
     direction: Floats
     novelty: Novelty
@@ -102,7 +102,8 @@ class Regressions:
         x = self.standardized(evidence.numbers[None])
         basis = confidence_basis(x, answer_log_odds(probabilities[None], np.array([evidence.answer])))
         excess = float(self.novelty.excess(x)[0])
-        z = float((basis @ np.array(self.confidence))[0]) - self.novelty.weight * excess
+        z = float(both_hold(basis @ np.array(self.confidence), evidence.numbers[None], self.border)[0])
+        z -= self.novelty.weight * excess
         return float(np.clip(z, -MOST_LOG_ODDS, MOST_LOG_ODDS)), excess
 
     def log_sds(self, evidence: Evidence, log_odds: float) -> tuple[float, float]:
@@ -167,8 +168,9 @@ class CertaintyModel:
 
 
 def risk_bound(wrong: int, count: int) -> float:
-    """Upper bound of the share that is wrong, missed in `RISK_DOUBT` of cases, from ``wrong`` of ``count``."""
-    return float(beta.ppf(1 - RISK_DOUBT, wrong + 1, count - wrong)) if count > wrong else 1.0
+    """Upper bound of the share that is wrong, in expectation, from ``wrong`` of ``count`` unseen ones: conformal risk
+    control (Angelopoulos et al., ICLR 2024), the next one counted as wrong."""
+    return (wrong + 1) / (count + 1)
 
 
 def conformal_set(probabilities: Array, answer: int, most_improbable: float) -> tuple[int, ...]:
@@ -213,6 +215,21 @@ def answer_log_odds(probabilities: Array, answer: NDArray[np.int64]) -> Array:
 def confidence_basis(x: Array, log_odds: Array) -> Array:
     """(M, 1 + N + 1) a constant, standardized numbers (M, N) and the answer's log-odds (M,)."""
     return np.column_stack([np.ones(len(x)), x, log_odds])
+
+
+def both_hold(place_log_odds: Array, numbers: Array, border: tuple[float, float] | Array) -> Array:
+    """(M,) log-odds that the place is right and that the label is: an answer fails where either does.
+
+    Sums would let a good fit make up for a pose on the border of two calyces; it doesn't, so the odds of failing add.
+
+    Args:
+        place_log_odds: (M,) of the place.
+        numbers: (M, N) of evidence; without the alignment's nothing is known of the border.
+        border: see `Regressions`.
+    """
+    if numbers.shape[1] <= _FIRM_AT:
+        return place_log_odds
+    return -np.logaddexp(-place_log_odds, -(border[0] + border[1] * numbers[:, _FIRM_AT]))
 
 
 def error_basis(x: Array, log_odds: Array) -> Array:

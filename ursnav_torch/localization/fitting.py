@@ -15,6 +15,7 @@ from ursnav_torch.localization.certainty import (
     Novelty,
     Regressions,
     answer_log_odds,
+    both_hold,
     confidence_basis,
     error_basis,
     utilities,
@@ -31,6 +32,7 @@ NOTHING = -2
 WITHIN_SD = 0.6827
 _RIDGE = 1.0
 _QUANTILE_BEND = 0.05  # width over which the pinball loss is rounded, in logarithms of errors
+_BORDER = np.array([1.0, 0.0])  # where the border's parameters begin, and what holds them: a weight of 1
 _LOOKS_AT = [NUMBERS.index(name) for name in LOOKS]
 
 
@@ -89,15 +91,16 @@ def fit_regressions(asked: Asked) -> Regressions:
     p = _softmax(utilities(calyx, calyces, x), alive)
     odds = answer_log_odds(p, asked.answer)
     basis = confidence_basis(x, odds)
-    confidence = _fit_logistic(basis, asked.right)
-    z = np.clip(basis @ confidence, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+    confidence, border = _fit_logistic(basis, numbers, asked.right)
+    z = np.clip(both_hold(basis @ confidence, numbers, border), -MOST_LOG_ODDS, MOST_LOG_ODDS)
     known = np.isfinite(asked.position_mm)
     errors = error_basis(x[known], z[known])
     position = fit_quantile(errors, np.log(asked.position_mm[known] + FLOOR_MM))
     direction = fit_quantile(errors, np.log(asked.direction_deg[known] + FLOOR_DEG))
     parts = (center, spread, calyx, confidence, position, direction)
     plain = [plain_numbers(part) for part in parts]
-    return Regressions(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], _novelty(x))
+    constant, weight = plain_numbers(border)
+    return Regressions(plain[0], plain[1], plain[2], plain[3], (constant, weight), plain[4], plain[5], _novelty(x))
 
 
 def fit_quantile(basis: Array, values: Array, share: float = WITHIN_SD) -> Array:
@@ -133,18 +136,26 @@ def _fit_calyx(calyces: Array, alive: Mask, x: Array, shown: Rows) -> Array:
     return np.asarray(minimize(loss, np.zeros(kinds + 2 + x.shape[1]), jac=True, method="L-BFGS-B").x)
 
 
-def _fit_logistic(basis: Array, right: Mask) -> Array:
-    sign = np.where(right, 1.0, -1.0)
-    ridge = np.full(basis.shape[1], _RIDGE)
+def _fit_logistic(basis: Array, numbers: Array, right: Mask) -> tuple[Array, Array]:
+    """Weights of `confidence_basis` (M, B), and the border's (2,), see `both_hold`, by maximum likelihood."""
+    sign, size = np.where(right, 1.0, -1.0), basis.shape[1]
+    ridge = np.full(size, _RIDGE)
     ridge[0] = 0.0
 
-    def loss(w: Array) -> tuple[float, Array]:
-        z = -sign * (basis @ w)
-        return float(np.logaddexp(0, z).sum() + 0.5 * ridge @ w**2), ridge * w - basis.T @ (sign * expit(z))
+    def loss(w: Array) -> float:
+        z = both_hold(basis @ w[:size], numbers, _border(w[size:]))
+        prior = ridge @ w[:size] ** 2 + np.sum((w[size:] - _BORDER) ** 2)
+        return float(np.logaddexp(0, -sign * z).sum() + 0.5 * prior)
 
-    start = np.zeros(basis.shape[1])
-    start[-1] = 1.0
-    return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B").x)
+    start = np.concatenate([np.zeros(size), _BORDER])
+    start[size - 1] = 1.0
+    w = minimize(loss, start, method="L-BFGS-B", options={"maxfun": 50_000}).x
+    return w[:size], _border(w[size:])
+
+
+def _border(w: Array) -> Array:
+    """Constant and weight, which is positive, of parameters (2,)."""
+    return np.array([w[0], np.exp(w[1])])
 
 
 def _novelty(x: Array) -> Novelty:
