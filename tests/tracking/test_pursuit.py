@@ -16,7 +16,7 @@ from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
 #: Drawing, start and hypotheses tried: nothing here looks at them.
-NOT_ASKED = (None, None, None, None)
+NOT_ASKED = (None, None, None, None, None)
 HERE = look_along(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 THERE = look_along(np.array([30.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
 FAR = look_along(np.array([0.0, 40.0, 0.0]), np.array([1.0, 0.0, 0.0]))
