@@ -15,7 +15,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     taken = TAKEN.get(page.file.src_uri)
     if taken:
         return take(taken)
-    return markdown.replace("<!-- results -->", results())
+    return formulas(markdown.replace("<!-- results -->", results()) if page.file.src_uri == "figures.md" else markdown)
+
+
+def formulas(markdown: str) -> str:
+    """The text with LaTeX between dollars as MathML, which browsers draw by themselves."""
+    from latex2mathml.converter import convert
+
+    markdown = re.sub(
+        r"\$\$(.+?)\$\$", lambda m: convert(" ".join(m[1].split()), display="block"), markdown, flags=re.S
+    )
+    return re.sub(r"(?<![\w$`])\$([^$\n`]+)\$(?!\w)", lambda m: convert(m[1]), markdown)
 
 
 def take(name: str) -> str:

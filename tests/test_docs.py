@@ -47,6 +47,18 @@ def test_links_and_pictures_are_there(page: Path) -> None:
         assert target.startswith("https://") or (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+def test_the_questions_are_what_the_program_says() -> None:
+    """Every message of the FAQ stands in the code, but for what its dots stand for."""
+    text = "\n".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "ursnav_torch").rglob("*.py")))
+    code = re.sub(r'"\s*\n\s*[rf]*"', "", text)
+    cells = [row.split("|")[1] for row in TEXT["errors.md"].splitlines() if row.startswith("| `")]
+    messages = [part for cell in cells for part in re.findall(r"`([^`]*)`", cell) if " " in part]
+    pieces = [piece.strip() for message in messages for piece in message.split("…") if len(piece.strip()) > 8]
+    assert len(pieces) > 30
+    unsaid = [piece for piece in pieces if piece not in code]
+    assert not unsaid, f"nothing says this any more: {unsaid}"
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
