@@ -1,5 +1,5 @@
 # make demo: set all up and run the demo.   make test: set all up and run every test.
-# make docs: set all up and build the documentation.
+# make live: set all up and open the page on a recorded flight.   make docs: set all up and build the documentation.
 # All make a virtual environment in .venv; PYTHON=python3.12 chooses another interpreter.
 
 PYTHON ?= python3
@@ -11,10 +11,14 @@ GL_PACKAGES := libegl1 libgl1-mesa-dri
 DEV_PACKAGES := chromium
 export PYOPENGL_PLATFORM ?= egl
 
-.PHONY: demo test docs check sbom setup setup-dev system system-dev clean
+.PHONY: demo live test docs check sbom setup setup-dev system system-dev clean
 
 demo: setup
 	$(BIN)/python -m ursnav_torch.demo out=ursnav_demo overwrite=true
+
+live: setup
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[viewer]'
+	$(BIN)/python -m ursnav_torch.demo live out=ursnav_demo
 
 # Two processes, a file of tests to each in turn: WORKERS=0 runs them in one, to look into a failure.
 WORKERS ?= 2

@@ -57,7 +57,7 @@ def drawn(vid: Vid) -> None:
     """The pictures that need no browser."""
     kept("1_kidney", sheet([draw_overview(vid.kidney, 480, side).picture for side in (False, True)], 480))
     rows = [int(np.flatnonzero(vid.calyx == i)[k]) for i in range(3) for k in (2, 12, 30, 50)]
-    kept("2_views", sheet([cv2.imread(str(vid.image_path(row))) for row in rows], SIDE_PX, columns=4))
+    kept("2_views", sheet([vid.read_picture(row) for row in rows], SIDE_PX, columns=4))
     plan = PlanSettings(views_per_calyx=8, passage_views=0, seed=11)
     queries = list(simulated_queries(vid, RaycastRenderer, plan, np.random.default_rng(11), LEARNED_FROM))
     kept("3_pictures", sheet([q.image for q in queries[4:12]], SIDE_PX, columns=4))
@@ -68,7 +68,7 @@ def drawn(vid: Vid) -> None:
     gray = np.clip(127 + 90 * relief / max(float(np.abs(relief).max()), 1e-9), 0, 255).astype(np.uint8)
     edges = draw_edges(query.image, location.features.edges, GREEN)
     kept("4_features", sheet([query.image, gray, edges], SIDE_PX + 80))
-    views = [cv2.imread(str(vid.image_path(c.view))) for c in location.candidates[:3]]
+    views = [vid.read_picture(c.view) for c in location.candidates[:3]]
     place = draw_overview(vid.kidney, 480).with_camera(location.T_kidney_camera, vid.camera.fov_deg or 90.0)
     kept("5_match", sheet([edges, *views, place], SIDE_PX))
 

@@ -45,7 +45,8 @@ def _live(config: Any, out: Path) -> None:
     from ursnav_torch.session import Replay
     from ursnav_torch.tracking.tracker import Tracker
 
-    steps, session = Steps(4), out.with_name(out.name + "_live")
+    session = out.with_name(out.name + "_live")
+    steps = Steps(2 * (not out.with_name(out.name + "_vid").exists()) + 2 * (not session.exists()))
     vid, make_renderer, _ = _vid(config, out, False, steps)
     if not session.exists():
         record_flight(

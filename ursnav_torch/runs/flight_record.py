@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.files import Progress, no_progress, whole_folder
-from ursnav_torch.navigation import Navigator, run_navigation
+from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.processes import in_order, spare_children
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.session import Recorder, Replay
@@ -20,6 +20,8 @@ from ursnav_torch.vid import MakeRenderer, Vid
 
 #: Calyces that the flight visits, pictures a second, and their kind of sensor faults.
 VISITED, RATE_HZ, FAULTS = 3, 10.0, "thesis_phantom"
+#: Nobody waits for these poses: nothing is left out for the sake of pace.
+NEVER_LATE_S = 1e9
 
 
 def record_flight(
