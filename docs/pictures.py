@@ -34,6 +34,8 @@ SIDE_PX, GAP_PX = 240, 8
 GREEN, ORANGE = (60, 230, 60), (40, 160, 255)
 #: Seconds that a page has to draw itself.
 SETTLE_S = 12.0
+#: Pictures of a record that the live page has shown before its own is taken.
+PICTURES_SEEN = 30
 
 
 def main(demo: Path) -> None:
@@ -91,6 +93,8 @@ def on_record(open_tab: Callable[[str], Any], vid: Vid, session: Path) -> None:
     player = found[0].controls.player
     tab = open_tab(found[0].url)
     tab.wait_for_selector("#strip button")
+    while tab.evaluate("+(document.getElementById('picture').dataset.shown ?? 0)") < PICTURES_SEEN:
+        tab.wait_for_timeout(500)
     tab.wait_for_timeout(1e3 * SETTLE_S)
     player.pause()
     tab.wait_for_timeout(3e3)

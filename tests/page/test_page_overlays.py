@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -44,6 +45,7 @@ def test_convention_the_way_points_where_the_picture_shows_it(vid, ahead, expect
     points = np.array([T[:3, 3], apply(T, np.array(ahead, float))])
     state = NavigationState(T_kidney_camera=T, guidance=Guidance(route=route(points)))
     np.testing.assert_allclose(way_in_picture(T, state, vid), expected, atol=2e-3)
+    assert msgspec.json.decode(msgspec.json.encode(scope_overlays(state, vid))).keys() == {"bodies", "names", "way"}
     assert way_in_picture(T, NavigationState(), vid) is None
 
 

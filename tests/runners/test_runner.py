@@ -150,3 +150,10 @@ def test_runners_import_nothing_heavy_before_they_are_called() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_a_word_alone_sets_what_it_names_and_no_other_word_is_taken(run, monkeypatch) -> None:
+    told = []
+    monkeypatch.setattr("ursnav_torch.demo._live", lambda config, out: told.append((config.live, out.name)))
+    assert run("demo", "live", "out=my flight").code == 0 and told == [(True, "my flight")]
+    assert run("demo", "lively").code == 2 and len(told) == 1

@@ -17,11 +17,12 @@ from ursnav_torch.devices import (
     Note,
     OperatorInput,
     RobotSample,
+    Stamp,
     Stamper,
     TrackerSample,
 )
 from ursnav_torch.errors import InputError
-from ursnav_torch.session import Recorder, Replay, Result, Snapshot
+from ursnav_torch.session import Player, Recorder, Replay, Result, Snapshot
 from ursnav_torch.session.events import from_line, to_line
 
 rng = np.random.default_rng(0)
@@ -231,8 +232,26 @@ def test_a_replay_may_begin_in_the_middle(events, record):
     replay = Replay(record, speed=0)
     begun = events[0].stamp.t_mono_s
     whole, half = replay.duration_s(), replay.duration_s() / 2
-    assert whole == pytest.approx(max(e.stamp.t_mono_s for e in events) - begun)
+    given = [e.stamp.t_mono_s for e in events if not isinstance(e, Result)]
+    assert whole == pytest.approx(max(given) - begun)
     late = list(replay.events(half))
     assert 0 < len(late) < len(events)
-    assert all(e.stamp.t_mono_s - begun >= half for e in late)
+    assert all(e.stamp.t_mono_s - begun >= half for e in late if not isinstance(e, Result))
     assert [type(e) for e in replay.events()] == [type(e) for e in replay]
+
+
+def test_a_record_that_was_navigated_on_another_day_plays_at_its_own_pace(tmp_path):
+    """Its results are stamped by the clock of that day; pictures must not wait for them."""
+    picture = np.zeros((8, 8), np.uint8)
+    with Recorder(tmp_path / "run") as recorder:
+        for i in range(6):
+            recorder.write(Frame(Stamp(i, i / 50, 1e9), picture))
+            recorder.write(Result(Stamp(i, 50_000.0 + i, 2e9), i, {"state": "tracking"}))
+    replay = Replay(tmp_path / "run")
+    assert replay.duration_s() == pytest.approx(0.1)
+    played = list(Player(replay))
+    assert sum(isinstance(event, Frame) for event in played) == 6 and len(played) == 12
+    late = list(replay.events(from_s=0.05))
+    assert [event.stamp.sequence for event in late if isinstance(event, Result)] == [3, 4, 5]
+    ended = list(Player(replay, duration_s=0.05))
+    assert sum(isinstance(event, Frame) for event in ended) < 6

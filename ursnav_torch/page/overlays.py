@@ -67,7 +67,7 @@ def way_in_picture(T_kidney_camera: Array, state: NavigationState, vid: Vid) -> 
     ahead = way_ahead(T_kidney_camera, route, vid.kidney.scale)
     across = float(np.hypot(*ahead[:2]))
     angle = np.arctan2(across, ahead[2])
-    length = min(angle / (np.pi / 2), 1.0)
+    length = float(min(angle / (np.pi / 2), 1.0))
     return [round(float(v) / max(across, 1e-9) * length, 3) for v in ahead[:2]]
 
 

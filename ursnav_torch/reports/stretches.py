@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ursnav_torch.session import Replay
+from ursnav_torch.session import Replay, Result
 from ursnav_torch.tracking.tracker import TRACKING
 
 #: Below this confidence, or without a place, a moment is doubtful once it lasts so long.
@@ -36,7 +36,7 @@ class Stretch:
 
 def session_stretches(replay: Replay) -> list[Stretch]:
     """The stretches of a record that was navigated; none of one that was not."""
-    first = next(replay.events(), None)
+    first = next((event for event in replay.events() if not isinstance(event, Result)), None)
     begun_s = first.stamp.t_mono_s if first is not None else 0.0
     rows = [(r.frame, r.row) for r in replay.results() if "state" in r.row]
     return stretches_of([row["t_s"] - begun_s for _, row in rows], rows)

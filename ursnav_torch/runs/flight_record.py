@@ -55,7 +55,8 @@ def record_flight(
                 recorder.write(Frame(Stamp(i, float(flight.t_s[i]), 1e9 + float(flight.t_s[i])), image))
                 advance(1)
         begin("Navigating by them")
-        run_navigation(Navigator(Tracker(vid)), Replay(work / "flight", speed=0), recorder=Recorder(work / "session"))
+        navigator = Navigator(Tracker(vid), governor=Governor(NEVER_LATE_S))
+        run_navigation(navigator, Replay(work / "flight", speed=0), recorder=Recorder(work / "session"))
         shutil.rmtree(work / "flight")
     return out / "session"
 

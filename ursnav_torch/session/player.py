@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from ursnav_torch.devices import Frame
-from ursnav_torch.session.events import Event
+from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.source import Pace
 
@@ -76,7 +76,7 @@ class Player:
 
     def __iter__(self) -> Iterator[Event]:
         from_s = 0.0
-        first = next(self.replay.events(), None)
+        first = next((event for event in self.replay.events() if not isinstance(event, Result)), None)
         begun_s = first.stamp.t_mono_s if first else 0.0
         while first is not None and not self._ended:
             yield from self._run(from_s, begun_s)
@@ -93,8 +93,10 @@ class Player:
         """Events from a moment on, when they are due, until the end, a seek or a stop."""
         self.position_s = from_s
         anchor = (from_s, time.monotonic())
+        at_s = from_s
         for event in self.replay.events(from_s):
-            at_s = event.stamp.t_mono_s - begun_s
+            if not isinstance(event, Result):  # made when the record was navigated, perhaps on another day
+                at_s = event.stamp.t_mono_s - begun_s
             if 0 < self._limit_s <= at_s:
                 self.stop()
             with self._changed:

@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 
 #: Bytes of a line; the longest that is written, a result's, has some hundred.
 LONGEST_LINE = 1 << 20
+#: What a line calls a `Result`.
+RESULT = "result"
 
 
 class Replay:
@@ -55,9 +57,11 @@ class Replay:
         """Events from some seconds after the first one on, as fast as they can be read; no picture before is read."""
         self.damaged = 0
         first_s: float | None = None
+        t_s: float | None = None
         last: Frame | None = None
         for data in self._lines():
-            t_s = _time(data)
+            # A result is stamped when it is made, which may be on another day than its picture was taken.
+            t_s = t_s if data["kind"] == RESULT else _time(data)
             first_s = t_s if first_s is None else first_s
             early = from_s > 0 and t_s is not None and first_s is not None and t_s - first_s < from_s
             event = None if early else self._event(data, last)
@@ -70,13 +74,13 @@ class Replay:
             logger.warning("%s: %d damaged items were left out.", self.path, self.damaged)
 
     def duration_s(self) -> float:
-        """Time from the first event to the last."""
-        times = [t for t in map(_time, self._lines()) if t is not None]
+        """Time from the first event to the last, results apart, which may have been made on another day."""
+        times = [t for t in (_time(data) for data in self._lines() if data["kind"] != RESULT) if t is not None]
         return max(times) - times[0] if times else 0.0
 
     def results(self) -> list[Result]:
         """The results as they were recorded."""
-        return [event for event in self._of_kind("result") if isinstance(event, Result)]
+        return [event for event in self._of_kind(RESULT) if isinstance(event, Result)]
 
     def readings(self) -> list[TrackerSample]:
         """The EM tracker's samples as they were recorded, those where it saw nothing as well."""
