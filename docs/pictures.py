@@ -16,13 +16,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ursnav_torch.devices import Frame
 from ursnav_torch.localization import LEARNED_FROM, Localizer, simulated_queries
-from ursnav_torch.navigation import Navigator, run_navigation
+from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, web_page
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.reports import draw_edges, draw_overview
 from ursnav_torch.reports.session import write_session_report
+from ursnav_torch.runs.flight_record import NEVER_LATE_S
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, Vid, load_vid
@@ -34,8 +34,6 @@ SIDE_PX, GAP_PX = 240, 8
 GREEN, ORANGE = (60, 230, 60), (40, 160, 255)
 #: Seconds that a page has to draw itself.
 SETTLE_S = 12.0
-#: Pictures of a record that the live page has shown before its own is taken.
-PICTURES_SEEN = 30
 
 
 def main(demo: Path) -> None:
@@ -76,7 +74,7 @@ def drawn(vid: Vid) -> None:
 
 
 def on_record(open_tab: Callable[[str], Any], vid: Vid, session: Path) -> None:
-    """The live page: playing a record, and standing still in the middle of it."""
+    """The live page on a record whose every picture is followed, at two moments."""
     found, ready = [], threading.Event()
 
     @contextmanager
@@ -86,26 +84,22 @@ def on_record(open_tab: Callable[[str], Any], vid: Vid, session: Path) -> None:
             ready.set()
             yield
 
-    navigator = Navigator(Tracker(vid))
-    thread = threading.Thread(target=partial(run_navigation, navigator, Replay(session), page=page))
+    navigator = Navigator(Tracker(vid), governor=Governor(NEVER_LATE_S))
+    thread = threading.Thread(target=partial(run_navigation, navigator, Replay(session, speed=0), page=page))
     thread.start()
     ready.wait(60)
     player = found[0].controls.player
+    player.pause()
     tab = open_tab(found[0].url)
     tab.wait_for_selector("#strip button")
-    while tab.evaluate("+(document.getElementById('picture').dataset.shown ?? 0)") < PICTURES_SEEN:
-        tab.wait_for_timeout(500)
-    tab.wait_for_timeout(1e3 * SETTLE_S)
-    player.pause()
-    tab.wait_for_timeout(3e3)
-    tab.screenshot(path=OUT / "7_live.png")
-    frames = [e.stamp.t_mono_s for e in Replay(session, speed=0).events() if isinstance(e, Frame)]
-    player.seek((frames[-1] - frames[0]) * 0.6)
-    player.play()
-    tab.wait_for_timeout(1e3 * SETTLE_S)
-    player.pause()
-    tab.wait_for_timeout(3e3)
-    tab.screenshot(path=OUT / "8_replay.png")
+    whole_s = player.duration_s
+    for name, share in (("7_live", 0.45), ("8_replay", 0.8)):
+        player.play()
+        while player.position_s < share * whole_s:
+            tab.wait_for_timeout(100)
+        player.pause()
+        tab.wait_for_timeout(1e3 * SETTLE_S)
+        tab.screenshot(path=OUT / f"{name}.png")
     tab.close()
     player.stop()
     thread.join()
