@@ -21,7 +21,7 @@ export function scopeView(picture, overlay) {
     if (shown.edges) strokes(pen, last.edges, unit);
     if (shown.stones) outlines(pen, last.bodies ?? [], unit);
     if (shown.names) { arrow(pen, last.way, width, height, unit); labels(pen, last.names ?? [], width, height, unit); }
-    overlay.dataset.drawn = JSON.stringify({ edges: shown.edges ? last.edges.length : 0, stones: shown.stones ? (last.bodies ?? []).length : 0, names: shown.names ? (last.names ?? []).length : 0 });
+    overlay.dataset.drawn = JSON.stringify({ edges: shown.edges ? last.edges.length : null, stones: shown.stones ? (last.bodies ?? []).length : null, names: shown.names ? (last.names ?? []).length : null });
   };
   return {
     show(m) { last?.bitmap.close(); last = m; draw(); },
