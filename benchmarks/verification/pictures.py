@@ -13,7 +13,7 @@ from benchmarks.certainty.population import kinds
 from benchmarks.shared.phantoms import phantom_vid
 from ursnav_torch.alignment import Refiner
 from ursnav_torch.alignment.align import Aligned
-from ursnav_torch.alignment.verification import Drawn, Seen, VerificationNetwork, Verifier, seen_on
+from ursnav_torch.alignment.verification import Drawn, ReadPicture, VerificationNetwork, Verifier, seen_on
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import make_phantom_kidney, observed_calyx
@@ -38,7 +38,7 @@ class Lessons:
 
     Attributes:
         compared: (H, W) bool.
-        relief, weight: (P, N) and read: (P, 5, N), see `Seen`; float16.
+        relief, weight: (P, N) and read: (P, 5, N), see `ReadPicture`; float16.
         drawn: (P, rounds, K, 2, N) relief and distance, see `Drawn`; float16.
         score: (P, rounds, K) of alignment; nan where there are fewer hypotheses.
         verdict: (P, rounds, K) `WRONG`, `NEITHER` or `RIGHT`.
@@ -57,9 +57,9 @@ class Lessons:
     def __len__(self) -> int:
         return len(self.kind)
 
-    def seen(self, row: int) -> Seen:
+    def seen(self, row: int) -> ReadPicture:
         """One picture."""
-        return Seen(*(self._planes(part[row]) for part in (self.relief, self.read, self.weight)))
+        return ReadPicture(*(self._planes(part[row]) for part in (self.relief, self.read, self.weight)))
 
     def hypotheses(self, row: int, rounds: int) -> tuple[Drawn, NDArray[np.float32], NDArray[np.int8]]:
         """One picture's hypotheses after a round, their scores (K,) and verdicts (K,)."""

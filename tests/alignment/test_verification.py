@@ -14,7 +14,7 @@ from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.alignment.verification import (
     MAPS,
     Drawn,
-    Seen,
+    ReadPicture,
     VerificationNetwork,
     Verifier,
     comparison_maps,
@@ -43,7 +43,7 @@ def seen(fine: Vid, phantom: Kidney) -> Features:
     return fine.extractor().extract(RaycastRenderer(phantom.mesh, fine.camera).render(fine.T_kidney_camera[3]).image)
 
 
-def made_up(seed: int = 0) -> tuple[Seen, Drawn, torch.Tensor]:
+def made_up(seed: int = 0) -> tuple[ReadPicture, Drawn, torch.Tensor]:
     """Smooth random maps of a picture and of three drawings, the first drawn as the picture is."""
     rng = np.random.default_rng(seed)
     relief, depth = (torch.nn.functional.interpolate(
@@ -52,7 +52,7 @@ def made_up(seed: int = 0) -> tuple[Seen, Drawn, torch.Tensor]:
     read = torch.stack([relief[0], torch.zeros(SIZE, SIZE), depth[0], torch.zeros(SIZE, SIZE), torch.ones(SIZE, SIZE)])
     compared = torch.ones(SIZE, SIZE, dtype=torch.bool)
     compared[:2] = False
-    return Seen(relief[0], read, torch.ones(SIZE, SIZE)), Drawn(relief, (depth + 2).exp()), compared
+    return ReadPicture(relief[0], read, torch.ones(SIZE, SIZE)), Drawn(relief, (depth + 2).exp()), compared
 
 
 def test_a_drawing_that_is_the_picture_agrees_everywhere() -> None:

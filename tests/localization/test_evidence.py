@@ -89,8 +89,8 @@ def test_where_a_pose_stands_and_what_verification_says_count_for_each_calyx() -
     )  # fmt: skip
     nearest = nearest_evidence(ranking([0.1, 0.112], 3.0), said([0.1, 0.112], [4, 2]), PICTURE, 1.0)  # type: ignore[arg-type]
     firm = np.array([0.0, 0.0, 0.25, 0.0, 0.75, 0.0])
-    tried = np.array([4, 2, 4])
-    e = refined_evidence(nearest, refined, tried, 4, 4, firm, 1.0)  # type: ignore[arg-type]
+    observed = np.array([4, 4, 2, 4])
+    e = refined_evidence(nearest, refined, observed, 4, firm, 1.0)  # type: ignore[arg-type]
     assert e.numbers.shape == (len(NUMBERS),) and e.calyces.shape == (6, len(CALYX_NUMBERS))
     of = dict(zip(NUMBERS, e.numbers, strict=True))
     assert of["firm"] == pytest.approx(math.log(3)) and of["verified"] == pytest.approx(math.log(7 / 3))

@@ -40,7 +40,7 @@ _SCORE_WEIGHT, _GAIN = 20.0, 10.0  # what the score counts before anything is le
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ReadPicture:
     """A picture on an alignment grid (H, W).
 
     Attributes:
@@ -122,14 +122,14 @@ class Verifier:
         return Drawn(relief, distance / self._unit_mm)
 
 
-def seen_on(grid: AlignGrid, features: Features) -> Seen:
+def seen_on(grid: AlignGrid, features: Features) -> ReadPicture:
     """A picture on a grid."""
     picture = grid.of_picture(features)
     relief, weight = (torch.from_numpy(part) for part in (picture.value[0], picture.weight))
-    return Seen(relief, torch.from_numpy(grid.small(features.read)), weight)
+    return ReadPicture(relief, torch.from_numpy(grid.small(features.read)), weight)
 
 
-def comparison_maps(seen: Seen, drawn: Drawn, compared: Tensor) -> Tensor:
+def comparison_maps(seen: ReadPicture, drawn: Drawn, compared: Tensor) -> Tensor:
     """Maps (K, `MAPS`, H, W): the picture, each drawing, and how they agree, where they are compared (H, W).
 
     Of the picture: the relief as it is aligned and as it was read, how unsure relief and depth are, how much a pixel

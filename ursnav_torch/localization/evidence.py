@@ -90,19 +90,19 @@ def nearest_evidence(ranking: Ranking, said: Vote, features: Features, scale: fl
 
 
 def refined_evidence(
-    nearest: Evidence, refined: Refined, tried: Calyces, calyx: int, answer: int, firm: Array, scale: float
+    nearest: Evidence, refined: Refined, observed: Calyces, answer: int, firm: Array, scale: float
 ) -> Evidence:
     """Evidence with the alignment's added.
 
     Args:
         nearest: see `nearest_evidence`.
         refined: the refined pose.
-        tried: (H,) the calyx that each of ``refined.tried`` observes.
-        calyx: the calyx that the refined pose observes.
+        observed: (1 + H,) the calyx that the refined pose observes, and each of ``refined.tried``.
         answer: what is answered in the end.
         firm: (C + 1,) share of the poses around the answer's that observe each calyx, see `firmness.label_shares`.
         scale: the kidney's.
     """
+    calyx, tried = int(observed[0]), observed[1:]
     count = len(nearest.calyces)
     aligned = np.full(count, -np.inf)
     np.maximum.at(aligned, tried % count, refined.tried_scores)

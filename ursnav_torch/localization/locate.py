@@ -143,14 +143,15 @@ class Localizer:
             return Judgement(ranking, calyces, said.calyx, said.calyx, nearest, nearest, None, False)
         refined = self._refiner.refine(features, self.starts(ranking, self._refiner.settings.hypotheses))
         poses = np.concatenate([refined.T_kidney_camera[None], refined.tried])
-        calyx, *tried = observed_calyx(poses, self.vid.kidney, self.vid.lumen).tolist()
+        observed = observed_calyx(poses, self.vid.kidney, self.vid.lumen)
+        calyx = int(observed[0])
         s = self.settings
         needed = s.min_score_to_override_calyx + (s.override_margin if calyx != said.calyx else 0.0)
         believed = refined.verified or refined.score >= needed
         answer = calyx if believed else said.calyx
         stood = refined.T_kidney_camera if believed else self._mean_of_views(ranking, int((calyces == answer).argmax()))
         firm = label_shares(stood, self.vid.kidney, self.vid.lumen)
-        full = refined_evidence(nearest, refined, np.array(tried), calyx, answer, firm, scale)
+        full = refined_evidence(nearest, refined, observed, answer, firm, scale)
         return Judgement(ranking, calyces, answer, said.calyx, nearest, full, refined, believed)
 
     def starts(self, ranking: Ranking, most: int) -> list[Array]:
