@@ -43,7 +43,7 @@ def read_csv(path: str | Path, required: Sequence[str], what: str) -> list[Row]:
     names = _columns(header, path, required, what)
     rows = [Row(_cells(names, cells, path, line), path, line) for line, cells in lines]
     if not rows:
-        raise InputError(f"The {what} file {path} has no rows; expected the columns {','.join(required)}.")
+        raise InputError(f"The {what} file {path} has no rows{_expected(required)}.")
     return rows
 
 
@@ -89,8 +89,13 @@ def _lines(path: Path, what: str) -> Iterator[tuple[int, list[str]]]:
     text = read_regular(path, f"{what} file", MOST_TEXT_BYTES)
     try:
         file = io.StringIO(text.decode("utf-8-sig"), newline="")
-        reader, line = csv.reader(file, skipinitialspace=True, strict=True), 1
+        reader, line, begun = csv.reader(file, skipinitialspace=True, strict=True), 1, False
         for cells in reader:
+            if not begun and len(cells) == 1 and cells[0].startswith("#"):  # a remark before the header
+                _check_remark(cells[0], path)
+                line = reader.line_num + 1
+                continue
+            begun = begun or any(cells)
             if any(cell.strip() for cell in cells):
                 yield from blank
                 yield line, cells
@@ -106,24 +111,36 @@ def _lines(path: Path, what: str) -> Iterator[tuple[int, list[str]]]:
         raise InputError(f"The {what} file {path} is not readable as CSV: line {line}: {error}.") from None
 
 
+def _check_remark(text: str, path: Path) -> None:
+    if text.startswith("# Markups fiducial"):
+        raise InputError(f"{path} is a point list of an old 3D Slicer (.fcsv); save it as .mrk.json and give that.")
+
+
 def _columns(header: list[str], path: Path, required: Sequence[str], what: str) -> list[str]:
     names = [name.strip() for name in header]
     twice = sorted({name for name in names if name and names.count(name) > 1})
     if twice:
         raise InputError(f"The {what} file {path} has the column(s) {', '.join(twice)} twice; each may stand once.")
     if not names:
-        raise InputError(f"The {what} file {path} has no rows; expected the columns {','.join(required)}.")
+        raise InputError(f"The {what} file {path} has no rows{_expected(required)}.")
     missing = [name for name in required if name not in names]
-    if not missing:
+    alone = len(names) == 1 and not required
+    if not missing and not alone:
         return names
     other = next((sign for sign in ";\t" if sign in names[0] or (len(names) == 1 and sign in header[0])), None)
-    if other:
-        word = "semicolons" if other == ";" else "tabs"
+    if other or (alone and " " in names[0]):
+        word = {";": "semicolons", "\t": "tabs", None: "blanks"}[other]
         raise InputError(
             f"The {what} file {path} has {word} between its cells; save it with commas between cells and with points "
-            f"in numbers. Expected are the columns {','.join(required)}."
+            f"in numbers{_expected(required)}."
         )
+    if not missing:
+        return names
     raise InputError(f"The {what} file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(names)}.")
+
+
+def _expected(required: Sequence[str]) -> str:
+    return f"; expected the columns {','.join(required)}" if required else ""
 
 
 def _cells(names: list[str], cells: list[str], path: Path, line: int) -> dict[str, str]:

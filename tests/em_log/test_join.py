@@ -128,3 +128,20 @@ def test_given_logs_of_public_complaints(cases: Path) -> None:
     said = join_pictures(huge, NAMES, TIMES).said()
     assert not said.startswith("24 of 24")
     assert np.nanmax(np.abs(huge.position_mm)) < 1000
+
+
+def test_frames_from_1_of_pictures_from_0_are_asked_about(tmp_path: Path) -> None:
+    path = tmp_path / "em.csv"
+    path.write_text("frame,x_mm,y_mm,z_mm\n" + "\n".join(f"{i + 1},{100 + i},{20 - i},7" for i in range(12)))
+    names = [f"{i:05d}" for i in range(12)]
+    with pytest.raises(InputError, match="counts its frames from 1 to 12, the pictures are counted from 0 to 11"):
+        join_pictures(read_em_samples(path), names)
+    form = EmFormat(join="frame")
+    assert "11 of 12 pictures" in join_pictures(read_em_samples(path, form), names, form=form).said()
+
+
+def test_a_clock_that_jumps_back_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "em.csv"
+    path.write_text("t_s,x_mm,y_mm,z_mm\n" + "\n".join(f"{i % 6 / 10},{100 + i},{20 - i},7" for i in range(12)))
+    with pytest.raises(InputError, match=r"jumps back from 0\.500 to 0\.000 s: two recordings in one file"):
+        join_pictures(read_em_samples(path), [f"{i:05d}" for i in range(12)], np.arange(12) / 10)

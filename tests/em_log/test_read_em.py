@@ -142,3 +142,61 @@ def test_ndi_columns_give_position_and_axis_of_six_degrees(tmp_path: Path) -> No
 def test_logs_that_cannot_be_used_are_refused(tmp_path: Path, head: str, row: str, match: str) -> None:
     with pytest.raises(InputError, match=match):
         read_em_samples(write(tmp_path / "em.csv", head, [row]))
+
+
+def _log(path: Path, header: str, rows: list[str], encoding: str = "utf-8") -> Path:
+    path.write_bytes("\n".join([header, *rows, ""]).encode(encoding))
+    return path
+
+
+PLACES = [[120 + i, -40 + 2 * (i % 5), 90 - i] for i in range(24)]
+TEXT = [f"{i / 10},{x},{y},{z}" for i, (x, y, z) in enumerate(PLACES)]
+
+
+@pytest.mark.parametrize(
+    "header", ["Time [s],X [mm],Y [mm],Z [mm]", "t_s,X(mm),Y(mm),Z(mm)", "# log v2\nt_s,x_mm,y_mm,z_mm"]
+)
+def test_headers_as_other_programs_write_them(tmp_path: Path, header: str) -> None:
+    samples = read_em_samples(_log(tmp_path / "em.csv", header, TEXT))
+    np.testing.assert_allclose(samples.position_mm, PLACES)
+    assert samples.t_s is not None and samples.t_s[3] == pytest.approx(0.3)
+
+
+def test_microseconds_have_two_spellings(tmp_path: Path) -> None:
+    rows = [f"{100_000 * i},{x},{y},{z}" for i, (x, y, z) in enumerate(PLACES)]
+    samples = read_em_samples(_log(tmp_path / "em.csv", "t_µs,x_mm,y_mm,z_mm", rows))
+    assert samples.t_s is not None and samples.t_s[3] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells"),
+    [
+        ("t_s,x_mm,y_mm,z_mm", "-1,-1,-1"), ("t_s,x_mm,y_mm,z_mm", "999,999,999"),
+        ("t_s,x_mm,y_mm,z_mm,dx,dy,dz", "0,0,0,0,0,1"), ("t_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "0,0,0,0,0,0,1"),
+    ],
+)  # fmt: skip
+def test_one_number_three_times_is_no_place(tmp_path: Path, header: str, cells: str) -> None:
+    more = {7: ",0,0.6,0.8", 8: ",0,0.6,0,0.8"}.get(len(header.split(",")), "")
+    rows = [f"{i / 10},{cells}" if i % 3 == 0 else row + more for i, row in enumerate(TEXT)]
+    samples = read_em_samples(_log(tmp_path / "em.csv", header, rows))
+    assert samples.seen.tolist() == [i % 3 != 0 for i in range(24)]
+
+
+def test_readings_that_stand_still_to_the_last_digit_are_said(tmp_path: Path) -> None:
+    rows = [f"{i / 10}," + TEXT[min(i, 8)].partition(",")[2] for i in range(24)]
+    with pytest.warns(UserWarning, match="lines 10 to 25: 16 readings are the same to the last digit"):
+        read_em_samples(_log(tmp_path / "em.csv", "t_s,x_mm,y_mm,z_mm", rows))
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "reason"),
+    [
+        ("t_s;x_mm;y_mm;z_mm", [r.replace(",", ";") for r in TEXT], "has semicolons between its cells"),
+        ("t_s\tx_mm\ty_mm\tz_mm", [r.replace(",", "\t") for r in TEXT], "has tabs between its cells"),
+        ("t_s x_mm y_mm z_mm", [r.replace(",", " ") for r in TEXT], "has blanks between its cells"),
+        ("t_s,X_mm,x_mm,y_mm,z_mm", [f"5,{r}" for r in TEXT], "columns X_mm and x_mm for one thing"),
+    ],
+)
+def test_tables_of_other_separators_are_told(tmp_path: Path, header: str, rows: list[str], reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        read_em_samples(_log(tmp_path / "em.csv", header, rows))

@@ -66,6 +66,8 @@ def join_pictures(
     form, named = form or EmFormat(), join_names(samples.key or (), images)
     clocks = samples.t_s is not None and t_s is not None and bool(np.isfinite(np.asarray(t_s, float)).any())
     times = np.asarray(t_s, float) if clocks else np.full(len(images), np.nan)
+    if form.join is None:
+        _check_counting(samples, images)
     rows, how = named, f"by {samples.key_column or 'name'}"
     if form.join == "time" or (form.join is None and _by_clock(samples, named, times, within_s)):
         if not clocks:
@@ -145,6 +147,41 @@ def _in_step(clock: Array, times: Array, within_s: float) -> bool:
     return bool(np.abs(ahead - np.median(ahead)).max() <= within_s + _SAME_RATE * np.ptp(times))
 
 
+def _check_counting(samples: EmSamples, images: Sequence[str]) -> None:
+    """Refuse numbers from 1 of as many pictures as are counted from 0: each would have its neighbor's reading.
+
+    Raises:
+        InputError: they are.
+    """
+    if samples.key is None or samples.key_column != "frame":
+        return
+    try:
+        numbers, pictures = ([int(float(_plain(word))) for word in words] for words in (samples.key, images))
+    except (ValueError, OverflowError):
+        return
+    if (min(numbers), max(numbers)) == (1, max(pictures) + 1) and min(pictures) == 0 and len(pictures) > _FEW:
+        raise InputError(
+            f"{samples.source} counts its frames from 1 to {max(numbers)}, the pictures are counted from 0 to "
+            f"{max(pictures)}: number them from 0, or say em_join=frame if picture 1 is really its frame 1."
+        )
+
+
+def _check_order(samples: EmSamples, within_s: float) -> None:
+    """Refuse a clock that jumps back: the same time would then stand for two moments.
+
+    Raises:
+        InputError: it does.
+    """
+    t = np.asarray(samples.t_s, float)
+    t = t[np.isfinite(t)]
+    steps = np.diff(t)
+    if len(steps) and steps.max() > 0 and (at := np.flatnonzero(steps < -within_s)).size:
+        raise InputError(
+            f"The clock of {samples.source} jumps back from {t[at[0]]:.3f} to {t[at[0] + 1]:.3f} s: two recordings in "
+            "one file? Give the one that belongs to the pictures."
+        )
+
+
 def _check_clock(samples: EmSamples, rows: Rows, times: Array, within_s: float, any_unit: bool) -> None:
     """Refuse times of another unit or of another clock.
 
@@ -153,6 +190,7 @@ def _check_clock(samples: EmSamples, rows: Rows, times: Array, within_s: float, 
     """
     if samples.t_s is None:
         return
+    _check_order(samples, within_s)
     found = int((rows >= 0).sum())
     for unit, factor in TIME_S.items() if any_unit else ():
         near = nearest_rows(replace(samples, t_s=samples.t_s * factor), times, within_s)

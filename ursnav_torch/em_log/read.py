@@ -1,5 +1,7 @@
 """EM logs as trackers and their programs write them: units and clocks are recognized or asked for."""
 
+import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,7 +10,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import EM_COLUMNS
 from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
-from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, all_zero, flagged_seen, in_field
+from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, flagged_seen, in_field, no_place
 from ursnav_torch.em_log.sequence import SEQUENCE_SUFFIXES, read_sequence
 from ursnav_torch.errors import InputError
 from ursnav_torch.tables import Row, number, read_csv
@@ -17,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: A sensor that is held still scatters by more than this, mm: a smaller spread is one of meters.
 _SMALLEST_SPREAD_MM = 0.5
+#: So many readings that are the same to the last digit are said.
+_REPEATS = 10
 
 
 def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples:
@@ -34,12 +38,13 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
     if Path(path).suffix.lower() in SEQUENCE_SUFFIXES:
         return read_sequence(Path(path), form)
     rows = read_csv(path, (), "EM")
-    names = {name.lower(): name for name in rows[0]}
+    names = _names(rows[0], Path(path))
     at, unit = _length_columns(names, Path(path), form)
     position = _numbers(rows, at) * unit
     quaternion = _quaternions(rows, names)
     axis = _axes(rows, names, quaternion)
-    seen = flagged_seen(rows, names) & in_field(position, rows) & ~all_zero(position, axis)
+    seen = flagged_seen(rows, names) & in_field(position, rows) & ~no_place(position)
+    _check_repeats(position, seen, rows)
     position[~seen] = axis[~seen] = np.nan
     if quaternion is not None:
         quaternion[~seen] = np.nan
@@ -54,6 +59,18 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
         quaternion=quaternion,
         source=str(path),
     )
+
+
+def _names(row: Row, path: Path) -> dict[str, str]:
+    """Columns by what they are called here: small letters, ``x [mm]`` and ``x(mm)`` as x_mm, ``Time [s]`` as t_s."""
+    found: dict[str, str] = {}
+    for name in row:
+        plain = re.sub(r"^(\w+?)\s*[\[(]\s*(\w+)\s*[\])]$", r"\1_\2", name.lower().replace("µ", "u").replace("μ", "u"))
+        plain = re.sub(r"^(time|timestamp)_", "t_", plain)
+        if plain in found:
+            raise InputError(f"The EM file {path} has the columns {found[plain]} and {name} for one thing; delete one.")
+        found[plain] = name
+    return found
 
 
 def _length_columns(names: Mapping[str, str], path: Path, form: EmFormat) -> tuple[list[str], float]:
@@ -126,6 +143,20 @@ def _clock(rows: list[Row], column: str, seconds: float) -> Array:
     if not np.isfinite(t).any():
         raise InputError(f"{rows[0].path}: the column {column} is blank in all {len(rows)} rows; delete or fill it.")
     return t
+
+
+def _check_repeats(position: Array, seen: NDArray[np.bool_], rows: list[Row]) -> None:
+    """Say where a reading stays the same to the last digit, which no sensor does that is seen."""
+    changes = np.flatnonzero(np.any(np.diff(position, axis=0) != 0, axis=1) | ~seen[1:]) + 1
+    ends = np.concatenate([[0], changes, [len(position)]])
+    longest = int(np.diff(ends).argmax())
+    first, last = int(ends[longest]), int(ends[longest + 1]) - 1
+    if _REPEATS <= last - first + 1 < int(seen.sum()) and seen[first]:
+        warnings.warn(
+            f"{rows[0].path}, lines {rows[first].line} to {rows[last].line}: {last - first + 1} readings are the same "
+            "to the last digit. Does the tracker repeat its last one while it sees nothing? Blank their cells then.",
+            stacklevel=3,
+        )
 
 
 def _check_spread(position: Array, path: Path, form: EmFormat) -> None:

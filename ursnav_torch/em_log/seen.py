@@ -68,10 +68,18 @@ def in_field(position_mm: Array, rows: list[Row]) -> BoolArray:
     return np.isfinite(position_mm).all(axis=1) & ~far
 
 
-def all_zero(position_mm: Array, axis: Array) -> BoolArray:
-    """(N,) rows that are zero in position and axis, where the readings else stay away from the EM frame's origin."""
-    zero = (position_mm == 0).all(axis=1)
-    others = position_mm[~zero & np.isfinite(position_mm).all(axis=1)]
-    if len(others) and np.linalg.norm(others, axis=1).min() < _NEAR_ORIGIN_MM:
-        return np.zeros(len(zero), bool)
-    return np.asarray(zero & np.isnan(axis).all(axis=1))
+def no_place(position_mm: Array) -> BoolArray:
+    """(N,) rows of positions (N, 3) that are a word for "not visible", whatever the axis beside them.
+
+    Zeros, where the readings else stay away from the EM frame's origin; and one number three times (-1, 999) in more
+    than one row, where others differ.
+    """
+    known = np.isfinite(position_mm).all(axis=1)
+    same = known & (np.ptp(np.nan_to_num(position_mm), axis=1) == 0)
+    zero = same & (position_mm[:, 0] == 0)
+    others = position_mm[known & ~same]
+    if not len(others):
+        return np.zeros(len(known), bool)
+    repeated = [value for value in np.unique(position_mm[same & ~zero, 0]) if np.sum(position_mm[same, 0] == value) > 1]
+    far = np.linalg.norm(others, axis=1).min() >= _NEAR_ORIGIN_MM
+    return np.asarray((zero & far) | (same & np.isin(position_mm[:, 0], repeated)))
