@@ -74,12 +74,12 @@ def no_place(position_mm: Array) -> BoolArray:
     Zeros, where the readings else stay away from the EM frame's origin; and one number three times (-1, 999) in more
     than one row, where others differ.
     """
-    known = np.isfinite(position_mm).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(position_mm).all(axis=1))
     same = known & (np.ptp(np.nan_to_num(position_mm), axis=1) == 0)
     zero = same & (position_mm[:, 0] == 0)
     others = position_mm[known & ~same]
     if not len(others):
-        return np.zeros(len(known), bool)
+        return np.zeros(known.shape, bool)
     repeated = [value for value in np.unique(position_mm[same & ~zero, 0]) if np.sum(position_mm[same, 0] == value) > 1]
     far = np.linalg.norm(others, axis=1).min() >= _NEAR_ORIGIN_MM
     return np.asarray((zero & far) | (same & np.isin(position_mm[:, 0], repeated)))
