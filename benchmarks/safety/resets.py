@@ -14,8 +14,9 @@ LIMITS = Limits(max_insertion_mm=6.0)
 #: What a place that is said to be known may be off: a GRBL board reports thousandths of a mm, an Arduino is up to
 #: 0.15 s behind at 8 mm/s, and both may have been asked in mid-motion.
 OFF_MM = 0.05
-#: What a stop may move on past a limit that holds for the true place, by rounding.
-PAST_MM = 0.05
+#: What it may move past a limit that holds for the true place: an order replaces the one before by the board's clock,
+#: which the host knows to about 12 ms.
+PAST_MM = 0.1
 
 
 @dataclass(slots=True)
@@ -78,6 +79,9 @@ def _recover(bench: Bench, what: str, faced: Faced) -> None:
             sample = robot.read()
             break
         time.sleep(0.1)
+    for _ in range(3):  # reading goes on, as in a session
+        with contextlib.suppress(DeviceError):
+            sample = robot.read()
     if sample is None:
         faced.unended.append(f"{what}: it did not come back")
         return

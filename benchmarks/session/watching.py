@@ -1,6 +1,7 @@
 """A live page beside a session, and somebody who looks at it, closes it and opens it anew."""
 
 import contextlib
+import threading
 import urllib.request
 from dataclasses import replace
 from pathlib import Path
@@ -63,10 +64,16 @@ class Watching:
             with urllib.request.urlopen(self._page.url + path, timeout=60) as answer:
                 answer.read()
         address = self._page.url.replace("http", "ws") + "/live"
-        socket: Any = connect(address, origin=Origin(self._page.url), open_timeout=60, max_size=1 << 24)
+        socket: Any = connect(
+            address, origin=Origin(self._page.url), open_timeout=60, max_size=1 << 24, ping_interval=None
+        )
         self._looking.enter_context(socket)
-        for _ in range(10):
-            with contextlib.suppress(TimeoutError):
-                socket.recv(timeout=2.0)
-                self.heard += 1
+        looking = threading.Thread(target=self._look, args=(socket,), name="looking", daemon=True)
+        looking.start()
+        self._looking.callback(looking.join, 5.0)
+        self._looking.callback(socket.close)
         self.reloads += 1
+
+    def _look(self, socket: Any) -> None:
+        for _ in socket:
+            self.heard += 1

@@ -129,13 +129,13 @@ class GrblRobot(Robot):
         return self.drive.axes_mm(joints)
 
     def _joints_ahead(self) -> Joints:
-        if self._axes_mm is None:
-            return self.drive.joints(self._settle())
-        if time.monotonic() - self._reported_s > REPORT_S:  # a reset that went by unnoticed must not do so for long
+        # A reset that went by unnoticed must not do so for long.
+        if self._axes_mm is not None and time.monotonic() - self._reported_s > REPORT_S:
             self._read_axes(self.deadline_s)
             if not self.place.is_known:
                 raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
-        return self.drive.joints(self._axes_mm)
+        axes = self._axes_mm  # once: a stop by another thread may take it away at any moment
+        return self.drive.joints(self._settle() if axes is None else axes)
 
     def _send(self, rates: JointRates) -> JointRates:
         now = time.monotonic()
@@ -151,7 +151,8 @@ class GrblRobot(Robot):
         if not step.any() or feed <= 0:
             return JointRates()
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
-        end = (self.place.axes if self._axes_mm is None else self._axes_mm) + step
+        axes = self._axes_mm
+        end = (self.place.axes if axes is None else axes) + step
         self.place.sent(end)
         self._ask(f"$J=G21G91{words}F{feed:.2f}")
         self._axes_mm = None if self._axes_mm is None else end
@@ -204,11 +205,11 @@ class GrblRobot(Robot):
         state, axes = self._status(timeout_s)
         if state == "Alarm" and self.gate.state != STOPPED:
             raise DeviceProtocolError(f"{self.port}: GRBL is in alarm; look for the cause, then acknowledge.")
-        at, moving = axes - self._offset_mm, state != "Idle"
-        if moving and self._axes_mm is None:
+        at, moving, ends = axes - self._offset_mm, state != "Idle", self._axes_mm
+        if moving and ends is None:
             self.place.check(at)
         else:
-            self.place.report(at, self._axes_mm if moving and self._axes_mm is not None else at)
+            self.place.report(at, ends if moving and ends is not None else at)
         return moving
 
     def _settle(self) -> Array:

@@ -192,6 +192,7 @@ class Robot(Device):
             DeviceError: the link or the controller failed, or was reset; the robot was stopped as well as it can be.
         """
         self._check_connected()
+        known = self.place.is_known
         try:
             with self._lock:
                 moving = self._read_axes(timeout_s)
@@ -199,8 +200,10 @@ class Robot(Device):
         except Exception as error:
             self.emergency_stop(f"{type(error).__name__}: {error}")
             raise
-        if not self.place.is_known and self.gate.state != STOPPED:
-            self.emergency_stop(self.place.why_lost)
+        if not self.place.is_known and (self.gate.state == ARMED or (known and self.gate.state != STOPPED)):
+            self.emergency_stop(
+                self.place.why_lost
+            )  # once: acknowledged, it waits for the operator's word on the place
         return RobotSample(self._stamp(), joints, moving, self.gate.state, self.place.is_known)
 
     @abstractmethod

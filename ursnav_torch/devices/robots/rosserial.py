@@ -181,12 +181,12 @@ class RosserialRobot(Robot):
         try:
             self._forget()
             self._listen()
-        except DeviceError:  # hung, unplugged or reset: opening the ports anew resets most Arduinos
+        except DeviceError:  # hung, unplugged or reset, and opening the ports anew resets most Arduinos
             self._close()
             self._open_links()
+            # Its counts prove nothing: a board that was reset may have obeyed one more order since, and count as far.
+            self.place.lose("a board had fallen silent or was unplugged; it may have been reset")
             self._listen(ANNOUNCE_S)
-            if not self._counts.any() and self.place.axes.any():
-                self.place.lose("a board counts from zero; it was reset")
 
     def _recount(self, axes: Array) -> None:
         self._forget()
