@@ -1,5 +1,6 @@
 """A controller that was reset: the place is unknown until the operator says, and the limits hold for the true one."""
 
+import random
 import time
 
 import numpy as np
@@ -105,6 +106,29 @@ def test_a_stop_by_another_thread_while_the_board_is_asked_is_no_mistake_of_the_
     monkeypatch.setattr(robot, "_reported_s", 0.0, raising=False)
     robot.command(JointRates(insertion_mm_s=8.0), True)
     assert robot.gate.state == "armed"
+
+
+def test_orders_that_come_late_pass_no_limit():
+    """A busy machine or a slow line: orders come up to 0.1 s late, now sooner and now later."""
+    with Bench("rosserial", LIMITS) as bench:
+        hear, waiting, draw = bench.board.handle, [], random.Random(0)
+
+        def late(data):
+            now = time.monotonic()
+            if data:
+                waiting.append((max(now + draw.uniform(0.0, 0.1), waiting[-1][0] if waiting else 0.0), data))
+            due = b""
+            while waiting and waiting[0][0] <= now:
+                due += waiting.pop(0)[1]
+            return hear(due)
+
+        bench.board.handle = late
+        bench.robot.arm()
+        for rate in (8.0, -8.0, 8.0):
+            bench.drive(rate, 2.0)
+            rest(bench)
+        assert bench.true_mm() > 5.0
+        assert bench.farthest_mm[0] >= -PAST_MM and bench.farthest_mm[1] <= LIMITS.max_insertion_mm + PAST_MM
 
 
 def test_acknowledging_while_unplugged_says_so(bench):

@@ -45,6 +45,7 @@ class Robot(Device):
         if not horizon_s < watchdog_s <= MAX_QUEUED_S:
             raise InputError(f"watchdog_s must lie between horizon_s and {MAX_QUEUED_S} s, got {watchdog_s}.")
         self.limits, self.horizon_s, self.watchdog_s = limits, horizon_s, watchdog_s
+        self._ahead_s = horizon_s  # for how long a rate must keep the joint limits
         self.gate, self.place = SafetyGate(), Place(tolerance)
         self._command_stamp = Stamper()
         self._lock = threading.RLock()
@@ -172,7 +173,7 @@ class Robot(Device):
         try:
             with self._lock:
                 slack = self._joints_of(self.place.slack)
-                allowed = clamp_rates(wanted, self._joints_ahead(), self.limits, self.horizon_s, slack)
+                allowed = clamp_rates(wanted, self._joints_ahead(), self.limits, self._ahead_s, slack)
                 if self.gate.state == ARMED and not allowed.is_zero:
                     self._still = False
                     sent = self._send(allowed)

@@ -69,6 +69,7 @@ class RosserialRobot(Robot):
         self.drive, limits = drive or Drive(), limits or Limits()
         self._unreported = _unreported(limits, self.drive)
         super().__init__(limits, horizon_s, watchdog_s, self._unreported)
+        self._ahead_s = 2 * horizon_s  # an order may come so late that the one before it has run to its end
         if len(ports) not in (1, 2):
             raise InputError(f"ports must name one or two serial ports (bending, slider), got {ports}.")
         self.ports, self.baud = list(ports), baud
@@ -79,6 +80,7 @@ class RosserialRobot(Robot):
         self._heard_s = [0.0, 0.0]
         self._at, self._at_s = np.zeros(3), 0.0  # where the motors are reckoned to be, and when
         self._velocity = np.zeros(3)  # steps/s of the order under way
+        self._turned_s = np.zeros(3)  # since when each motor has turned this way
         self._ends, self._ends_s = np.zeros(3), 0.0  # where and when it ends
 
     def set_light(self, level: float) -> float:
@@ -151,6 +153,7 @@ class RosserialRobot(Robot):
         steps = np.trunc(axes * self.drive.steps_per_mm * seconds).astype(int)
         if seconds <= 0 or not steps.any():
             return JointRates()
+        self._turned_s = np.where(np.sign(steps) == np.sign(self._velocity), self._turned_s, time.monotonic())
         self._ends, self._velocity = self._reckon() + steps, steps / seconds
         self._ends_s = self._at_s + seconds
         self.place.sent(self._ends)
@@ -243,7 +246,8 @@ class RosserialRobot(Robot):
         else:
             self.place.check(at)
         spread = 0.0 if resting else self._unreported
-        self._at = np.clip(reckoned, at - spread, at + spread)
+        ahead = np.where(now - self._turned_s > BLIND_S, np.sign(self._velocity), 0.0)  # who goes on is past the report
+        self._at = np.clip(reckoned, at - np.where(ahead > 0, 0.0, spread), at + np.where(ahead < 0, 0.0, spread))
 
     def _take(self, name: str, payload: bytes) -> None:
         values = unpack_ints(payload)
