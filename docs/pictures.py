@@ -18,11 +18,11 @@ import numpy as np
 
 from ursnav_torch.localization import LEARNED_FROM, Localizer, simulated_queries
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
+from ursnav_torch.navigation.flight_record import NEVER_LATE_S
 from ursnav_torch.page import ExplorePage, web_page
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.reports import draw_edges, draw_overview
 from ursnav_torch.reports.session import write_session_report
-from ursnav_torch.runs.flight_record import NEVER_LATE_S
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, Vid, load_vid

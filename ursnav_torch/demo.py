@@ -36,10 +36,10 @@ def _pictures(config: Any, out: Path) -> None:
 
 
 def _live(config: Any, out: Path) -> None:
-    """Call `runs.flight_record.record_flight` unless that is there, then `runs.navigate.navigate_vid` on it."""
+    """Call `navigation.flight_record.record_flight` unless that is there, then `runs.navigate.navigate_vid` on it."""
     from hydra.utils import instantiate
 
-    from ursnav_torch.runs.flight_record import record_flight
+    from ursnav_torch.navigation.flight_record import record_flight
     from ursnav_torch.runs.navigate import navigate_vid
     from ursnav_torch.runs.tables import Steps
     from ursnav_torch.session import Replay

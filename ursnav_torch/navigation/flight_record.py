@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.files import Progress, no_progress, whole_folder
-from ursnav_torch.navigation import Governor, Navigator, run_navigation
+from ursnav_torch.navigation.effort import Governor
+from ursnav_torch.navigation.navigator import Navigator
+from ursnav_torch.navigation.run import run_navigation
 from ursnav_torch.processes import in_order, spare_children
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.session import Recorder, Replay

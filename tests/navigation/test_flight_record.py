@@ -5,8 +5,8 @@ import pytest
 
 from ursnav_torch.devices import Frame
 from ursnav_torch.errors import InputError
+from ursnav_torch.navigation.flight_record import RATE_HZ, record_flight
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.runs.flight_record import RATE_HZ, record_flight
 from ursnav_torch.session import Replay
 
 
