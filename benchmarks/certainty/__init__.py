@@ -13,6 +13,11 @@ What was known of each picture is kept in ``work``, so that another fit takes se
 a network give an empty one. Other arguments: ``phantoms=6 pictures=36`` (of a kind) ``flight=80`` (pictures of a
 flight) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge what the package knows)
 ``out=FILE.json``.
+
+Tried before and left, on six phantoms: squares of the numbers make confidence likelier (0.287 against 0.299 nats) and
+the first wrong answers surer; a threshold proven on the presets alone is 0.94, not 0.986, and 4 % of what it accepts
+of the widened kinds is wrong; the number ``firm`` among the others, and not in a factor of its own, leaves 238 of 1,135
+accepted at one wrong in a hundred, not 276; no weight of novelty below 8 is as likely on kinds left out.
 """
 
 import sys

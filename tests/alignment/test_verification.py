@@ -124,8 +124,8 @@ def test_refinement_follows_the_verifier_and_says_so(
 
         return log_odds
 
-    refiner, candidates = Refiner(fine), [fine.T_kidney_camera[i] for i in (3, 30, 60)]
-    for which, row in ((3, 0), (60, 2)):
+    refiner, candidates = Refiner(fine), [fine.T_kidney_camera[i] for i in (30, 60, 3)]  # the best score last
+    for which, row in ((3, 2), (60, 1)):
         monkeypatch.setattr(refine_module.Verifier, "log_odds", prefers(which))
         found = refiner.refine(seen, candidates)
         assert found.verified and found.hypothesis == row and len(found.tried_log_odds) == 3

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.geometry import angle_between, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
-from ursnav_torch.localization.firmness import label_shares
+from ursnav_torch.localization.firmness import _moves, label_shares
 from ursnav_torch.vid import Vid
 
 
@@ -56,3 +56,6 @@ def test_errors_grow_with_the_kidney(vid: Vid, between: tuple[np.ndarray, np.nda
     T[:3, 3] *= 2.0
     shares = label_shares(T, large, LumenDistance.from_kidney(large))
     np.testing.assert_allclose(shares, label_shares(between[0], vid.kidney, vid.lumen), atol=0.1)
+    small, grown = _moves(1.0), _moves(2.0)
+    np.testing.assert_allclose(grown[:, :3, 3], 2.0 * small[:, :3, 3])
+    np.testing.assert_array_equal(grown[:, :3, :3], small[:, :3, :3])
