@@ -1,4 +1,28 @@
-"""What people reported elsewhere, given to runners and readers: refused with the true reason, in no Python's words."""
+"""What people reported elsewhere, given to runners and readers: refused with the true reason, in no Python's words.
+
+Every kind of fault has further inputs of our own making, kept with the room that reads them:
+
+==== ============================================= ===========================================================
+kind what is wrong                                  inputs of our own
+==== ============================================= ===========================================================
+A    geometry that a file lacks is filled in        segmentation/test_scan_headers: no spacing, no orientation,
+                                                    two spacings, other units, a named orientation alone
+B    a lens is not checked for sense                camera/test_lens_files: folds, another resolution, columns
+                                                    for rows, skew, radians, distortion in others' words
+C    EM tables are joined and trusted blindly       em_log/test_read_em and test_join: units, clocks, numbers
+                                                    from 1, a clock that jumps back, -1 and 999, frozen readings
+D    trackers' words for "not seen"                 devices/test_openigtlink, test_ndi, test_ros, test_wire,
+                                                    em_log/test_sequence
+E    "truncated" is guessed                         segmentation/test_dicom: four ways to compress, reports,
+                                                    enhanced files; test_scan_headers: slopes, packed by name
+F    several things in one file                     features/test_image: pages; segmentation/test_ct_read:
+                                                    phases, series, values a voxel; camera: two cameras
+G    the wrong cause is named                       devices/test_grbl: greetings, axes; kidney/test_mesh_kidney:
+                                                    bytes after; segmentation/test_ct_markups: units; separators
+==== ============================================= ===========================================================
+
+`test_every_case` gives all given files to the runners that take them.
+"""
 
 import re
 import socket
