@@ -13,7 +13,7 @@ C    EM tables are joined and trusted blindly       em_log/test_read_em and test
                                                     from 1, a clock that jumps back, -1 and 999, frozen readings
 D    trackers' words for "not seen"                 devices/test_openigtlink, test_ndi, test_ros, test_wire,
                                                     em_log/test_sequence
-E    "truncated" is guessed                         segmentation/test_dicom: four ways to compress, reports,
+E    "truncated" is guessed                         segmentation/test_dicom: three compressions, reports,
                                                     enhanced files; test_scan_headers: slopes, packed by name
 F    several things in one file                     features/test_image: pages; segmentation/test_ct_read:
                                                     phases, series, values a voxel; camera: two cameras

@@ -28,7 +28,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def image_from_bytes(data: bytes, where: str) -> NDArray[np.uint8]:
-    """`read_image` for a file's bytes; ``where`` names it in errors.
+    """`read_image`, (H, W) or (H, W, 3), for a file's bytes; ``where`` names it in errors.
 
     Raises:
         InputError: see `read_image`.
