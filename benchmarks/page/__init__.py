@@ -174,7 +174,7 @@ def _navigating(navigator: Navigator, frames: list[Frame], rate_hz: float) -> It
 
     with navigator:
         for warm in frames[:15]:  # the first pictures of a process are slower
-            navigator.take(warm, live=False)
+            navigator.take(warm)
             navigator.wait()
         thread = threading.Thread(target=feed)
         thread.start()
