@@ -25,6 +25,7 @@ FILES = [
     "centerline.csv",
     "features.safetensors",
     "images",
+    "images.sha256",
     "kidney.stl",
     "lumen.safetensors",
     "vid.json",

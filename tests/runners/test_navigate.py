@@ -27,7 +27,8 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "20 pictures, 20 located" in done.out and "of its wall seen" in done.out and "report.html" in done.out
-    assert "<svg" not in (text := (out / "report.html").read_text(encoding="utf-8")) and "Doubtful moments" in text
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == 1 == text.count('<svg class="time-line"') and "Doubtful moments" in text
     rows = [r.row for r in Replay(out).results()]
     assert len(rows) == 20 and all({"state", "latency_s", "effort"} <= set(row) for row in rows)
     again = run(

@@ -14,6 +14,8 @@ from ursnav_torch.camera.sense import check_sense
 from ursnav_torch.errors import InputError
 from ursnav_torch.records import read_json, to_record
 
+#: No lens has a number beyond this, px or radians; larger ones overflow what is computed from them.
+_LARGEST = 1_000_000_000
 #: What others call the distortion, or what no model here has: passing it over would draw another lens.
 _OTHERS_WORDS = ("distortion", "distortion_coefficients", "distortion_coeffs", "dist_coeffs", "dist_coeff", "dist", "D",
                  "d", "skew", "p1", "p2", "k1", "k2", "k3", "xi", "alpha")  # fmt: skip
@@ -71,8 +73,11 @@ def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
             f"The camera in {where} has {', '.join(ignored)}, which camera JSON has not: write distortion as k (see "
             "the model's coefficients; model=rational takes k1, k2, p1, p2, k3, k4, k5, k6)."
         )
+    for key, value in data.items():
+        if any(isinstance(v, int) and abs(v) > _LARGEST for v in (value if isinstance(value, list) else [value])):
+            raise InputError(f"The camera in {where} has a {key} beyond {_LARGEST:.0e}, which no lens has.")
     known = {key: _whole(value) for key, value in data.items() if value is not None}
-    if known["model"] == "pinhole" and not known.get("k"):
+    if known.get("model") == "pinhole" and not known.get("k"):
         known.pop("k", None)
     return to_record(known, Camera, f"The camera in {where}")
 

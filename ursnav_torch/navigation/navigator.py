@@ -121,7 +121,8 @@ class Navigator:
         if isinstance(event, Frame):
             captured = event.stamp.t_mono_s if self._pace.stamped_now else time.monotonic()
             self._given += 1
-            frame = replace(event, image=self._whole.put_back(event.image))
+            image = self._whole.put_back(event.image)
+            frame = event if image is event.image else replace(event, image=image)
             self._jobs.put(_Job(self._given, frame, captured, self._reading))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = self._sensor(event)

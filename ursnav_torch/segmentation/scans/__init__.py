@@ -1,11 +1,10 @@
 """Scans in and out of files, with where they lie in the patient; what a header does not say is asked for."""
 
-from ursnav_torch.segmentation.scans.apart import read_scan
+from ursnav_torch.segmentation.scans.apart import dicom_files, read_scan
 from ursnav_torch.segmentation.scans.dicom import read_tags
 from ursnav_torch.segmentation.scans.export import write_dicom, write_scan
 from ursnav_torch.segmentation.scans.headers import ScanHeader
 from ursnav_torch.segmentation.scans.multiframe import multiframe_grid
-from ursnav_torch.segmentation.scans.read import dicom_files
 from ursnav_torch.segmentation.scans.scan import Scan, spread_box, transform_of_voxels
 
 __all__ = [

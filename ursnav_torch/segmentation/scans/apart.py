@@ -25,7 +25,7 @@ import numpy as np
 import ursnav_torch
 from ursnav_torch.errors import InputError, MissingExtraError, UrsnavError
 from ursnav_torch.segmentation.scans.headers import ScanHeader
-from ursnav_torch.segmentation.scans.read import LARGEST_VOXELS, read_scan_here, simple_itk
+from ursnav_torch.segmentation.scans.read import LARGEST_VOXELS, dicom_files_here, read_scan_here, simple_itk
 from ursnav_torch.segmentation.scans.scan import Scan
 
 #: Most address space of a child: the largest scan that is accepted, 8 bytes a voxel in the file, and as 16 bits.
@@ -62,25 +62,51 @@ def read_scan(
     if not hasattr(os, "fork"):  # Windows
         return read_scan_here(path, series, largest_voxels, header)
     with tempfile.TemporaryDirectory(prefix="ursnav_scan_") as folder:
-        request: dict[str, Any] = {
-            "path": str(path.absolute()),
-            "series": series,
-            "largest_voxels": largest_voxels,
-            "folder": folder,
-        }
-        request["header"] = dataclasses.asdict(header or ScanHeader())
-        status = _ask(request | {"seconds": READ_S + _size(path) // 1_000_000})
-        answer = Path(folder) / "answer.json"
-        if os.WIFSIGNALED(status) or not answer.exists():
-            raise InputError(_why_dead(path, status))
-        told = json.loads(answer.read_text(encoding="utf-8"))
-        if "error" in told:
-            kind = MissingExtraError if told["kind"] == "MissingExtraError" else InputError
-            raise kind(told["error"].replace(str(path.absolute()), str(path)))
-        for note in told["notes"]:
-            warnings.warn(note.replace(str(path.absolute()), str(path)), stacklevel=2)
+        more = {"largest_voxels": largest_voxels, "header": dataclasses.asdict(header or ScanHeader())}
+        told = _told(path, folder, {"series": series, **more})
         voxels = np.load(Path(folder) / "voxels.npy", allow_pickle=False)
     return Scan(voxels, np.array(told["T_lps_voxel"]), told["source"], told["names"])
+
+
+def dicom_files(folder: Path | str, series: str | None = None) -> tuple[str, ...]:
+    """The files of the one DICOM series in a folder, from the first slice to the last, checked as `read_scan` does.
+
+    Args:
+        folder: of the slices.
+        series: its UID where there are several.
+
+    Raises:
+        InputError: see `series_files`; or a file makes the library that sorts them crash, or take memory without end.
+        MissingExtraError: SimpleITK is not installed.
+    """
+    simple_itk()
+    folder = Path(folder)
+    if not hasattr(os, "fork"):
+        return dicom_files_here(folder, series)
+    with tempfile.TemporaryDirectory(prefix="ursnav_series_") as answers:
+        told = _told(folder, answers, {"series": series, "names_alone": True})
+    return tuple(told["files"])
+
+
+def _told(path: Path, answers: str, request: dict[str, Any]) -> dict[str, Any]:
+    """What a child answers to a request for a file or folder, in a folder for its answers.
+
+    Raises:
+        InputError: its own, or it ended without an answer.
+        MissingExtraError: its own.
+    """
+    whole = request | {"path": str(path.absolute()), "folder": answers}
+    status = _ask(whole | {"seconds": READ_S + _size(path) // 1_000_000})
+    answer = Path(answers) / "answer.json"
+    if os.WIFSIGNALED(status) or not answer.exists():
+        raise InputError(_why_dead(path, status))
+    told: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
+    if "error" in told:
+        kind = MissingExtraError if told["kind"] == "MissingExtraError" else InputError
+        raise kind(told["error"].replace(str(path.absolute()), str(path)))
+    for note in told["notes"]:
+        warnings.warn(note.replace(str(path.absolute()), str(path)), stacklevel=3)
+    return told
 
 
 def _why_dead(path: Path, status: int) -> str:
@@ -156,12 +182,9 @@ def _read(request: dict[str, Any]) -> None:
     signal.alarm(STRETCH * request["seconds"])
     folder = Path(request["folder"])
     try:
-        header = ScanHeader(**request["header"])
         with warnings.catch_warnings(record=True) as notes:
             warnings.simplefilter("always", UserWarning)
-            scan = read_scan_here(request["path"], request["series"], request["largest_voxels"], header)
-        np.save(folder / "voxels.npy", scan.voxels)
-        told: dict[str, Any] = {"T_lps_voxel": scan.T_lps_voxel.tolist(), "source": scan.source, "names": scan.names}
+            told = _files(request) if request.get("names_alone") else _scan(request, folder)
         told["notes"] = [str(note.message) for note in notes if note.category is UserWarning]
     except UrsnavError as error:
         told = {"error": str(error), "kind": type(error).__name__}
@@ -171,6 +194,19 @@ def _read(request: dict[str, Any]) -> None:
     draft = folder / "answer.new"
     draft.write_text(json.dumps(told), encoding="utf-8")
     os.replace(draft, folder / "answer.json")
+
+
+def _files(request: dict[str, Any]) -> dict[str, Any]:
+    return {"files": dicom_files_here(Path(request["path"]), request["series"])}
+
+
+def _scan(request: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What there is to say of a scan, whose voxels lie in the folder for answers."""
+    scan = read_scan_here(
+        request["path"], request["series"], request["largest_voxels"], ScanHeader(**request["header"])
+    )
+    np.save(folder / "voxels.npy", scan.voxels)
+    return {"T_lps_voxel": scan.T_lps_voxel.tolist(), "source": scan.source, "names": scan.names}
 
 
 def _odd(path: str, error: Exception) -> str:

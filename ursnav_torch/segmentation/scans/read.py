@@ -72,7 +72,7 @@ def read_scan_here(
     )
 
 
-def dicom_files(folder: Path, series: str | None = None) -> tuple[str, ...]:
+def dicom_files_here(folder: Path, series: str | None = None) -> tuple[str, ...]:
     """The files of the one DICOM series in a folder, from the first slice to the last, checked as `read_scan` does.
 
     Raises:
