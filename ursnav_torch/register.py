@@ -12,6 +12,7 @@ def main(config: Any) -> None:
 
     from hydra.utils import instantiate
 
+    from ursnav_torch.em_log import EmFormat, read_em_samples
     from ursnav_torch.files import check_output_file
     from ursnav_torch.runs.register import registration_summary
     from ursnav_torch.vid import load_vid
@@ -19,7 +20,9 @@ def main(config: Any) -> None:
     out = caller_path(config.out)
     check_output_file(out, config.overwrite)
     job = instantiate(config.registration, _convert_="all")
-    landmarks, points = (None if path is None else caller_path(path) for path in (config.landmarks, config.points))
+    form = EmFormat(config.em_unit, tool=config.em_tool)
+    landmarks = None if config.landmarks is None else caller_path(config.landmarks)
+    points = None if config.points is None else read_em_samples(caller_path(config.points), form)
     kidney = None if config.vid is None else load_vid(caller_path(config.vid)).kidney
     found = job(landmarks, points, kidney)
     if kidney is None:

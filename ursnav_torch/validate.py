@@ -26,7 +26,7 @@ def main(config: Any) -> int:
         truth=None if config.truth is None else caller_path(config.truth),
         budget=ErrorBudget(config.em_mm, config.em_axis_deg, config.match_mm * scale, config.match_axis_deg),
         least_p=config.least_p,
-        form=EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, config.em_join),
+        form=EmFormat(config.em_unit, config.em_time_unit, config.em_offset_s, config.em_join, config.em_tool),
     )
     write_json(out, verdict_report(verdicts, scale), config.overwrite)
     print(f"{verdict_summary(verdicts, scale)}\nverdicts in {out}")

@@ -90,6 +90,7 @@ def test_a_touch_reaches_ahead_of_the_sensor(run: Callable[..., Any], landmarks:
     ],
 )
 def test_what_is_missing_is_said(run: Callable[..., Any], tmp_path: Path, overrides: tuple, says: str) -> None:
+    (tmp_path / "caller's folder" / "p.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n", encoding="utf-8")
     done = run("register", *overrides, f"out={tmp_path / 'r.json'}")
     assert done.code == 1 and says in done.err and "Traceback" not in done.err
     assert not list(tmp_path.glob("r.json*"))

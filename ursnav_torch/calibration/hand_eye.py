@@ -41,6 +41,9 @@ _SMOOTH_S, _MOST_NEIGHBORS = 0.1, 40
 _LARGEST_GAP_S = 0.5
 #: More pictures than this say nothing new; a sensor farther from the camera than this is none on the tip, mm.
 _MOST, _FARTHEST_MM = 4000, 50.0
+#: The sensor's path and the camera's are of one size, but for where the one sits on the other: a path as long as this,
+#: mm, is not so many times as long as the other.
+_LONG_PATH_MM, _OTHER_SIZE = 25.0, 2.5
 #: Fewer pictures with a reading do not make a calibration.
 FEWEST = 40
 
@@ -135,6 +138,7 @@ def calibrate_tip(T_kidney_camera: Array, t_s: Array, samples: EmSamples) -> Tip
     problem = _problem(T_kidney_camera, t_s, samples)
     offset_s, used = _coarse_offset(problem)
     problem = problem.only(used)
+    _check_size(problem, samples.source)
     x = _start(problem, offset_s)
     fit = least_squares(_residuals, x, args=(problem,), loss="soft_l1", x_scale="jac", max_nfev=200)
     raw = _residuals(fit.x, problem).reshape(-1, 6)
@@ -166,6 +170,23 @@ def _problem(T: Array, t_s: Array, samples: EmSamples) -> _Problem:
         t_s[posed], T[posed, :3, 3], T[posed, :3, :3], clock, smooth[:, :3],
         axis if has_axis else np.full_like(axis, np.nan), visible.quaternion, curve,
     )  # fmt: skip
+
+
+def _check_size(problem: _Problem, source: str) -> None:
+    """Refuse a log whose path is not of the poses' size: it is in another unit, or of another recording.
+
+    Raises:
+        RegistrationError: it is.
+    """
+    read, camera = (
+        float(np.linalg.norm(np.subtract(*np.percentile(path, (90, 10), axis=0))))
+        for path in (problem.position, problem.place)
+    )
+    if max(read, camera) > _LONG_PATH_MM and not 1 / _OTHER_SIZE < read / max(camera, 1e-9) < _OTHER_SIZE:
+        raise RegistrationError(
+            f"The readings of {source} spread over {read:.3g} mm, the camera's places over {camera:.3g} mm: they are "
+            "not of one motion. Is the log in another unit (em_unit=mm, cm or m), or of another recording?"
+        )
 
 
 def _smoothed(clock: Array, values: Array) -> Array:

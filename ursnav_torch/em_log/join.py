@@ -1,21 +1,19 @@
 """Which reading of an EM log belongs to which picture: by name, by frame number or by time."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ursnav_torch.em_log.clock import NEAR_S, check_clock, check_pace
+from ursnav_torch.em_log.keys import check_counting, check_keys, join_names
 from ursnav_torch.em_log.samples import TIME_S, EmFormat, EmSamples
 from ursnav_torch.errors import InputError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-#: A reading belongs to a picture taken within this time, s.
-NEAR_S = 0.25
 #: Two clocks that part by less than this share of the time passed run at one rate.
 _SAME_RATE = 0.02
 #: Fewer pictures in step than this say nothing about frame numbers.
@@ -67,17 +65,21 @@ def join_pictures(
     clocks = samples.t_s is not None and t_s is not None and bool(np.isfinite(np.asarray(t_s, float)).any())
     times = np.asarray(t_s, float) if clocks else np.full(len(images), np.nan)
     if form.join is None:
-        _check_counting(samples, images)
+        check_counting(samples, images)
     rows, how = named, f"by {samples.key_column or 'name'}"
     if form.join == "time" or (form.join is None and _by_clock(samples, named, times, within_s)):
         if not clocks:
             raise InputError(f"{samples.source} cannot be joined by time: it has no column t_s, or the pictures none.")
         rows, how = nearest_rows(samples, times, within_s), "by time"
-        _check_clock(samples, rows, times, within_s, form.time_unit is None)
+        _check_times(samples, rows, times, within_s, form.time_unit is None)
+        if form.join is None and samples.key is None:
+            _check_one_each(samples, times, within_s)
         if (named >= 0).any():
             how += "; its frame numbers are the tracker's own"
     if (rows < 0).all():
         raise InputError(_no_reading(samples, images))
+    if rows is named:
+        check_keys(samples, named, form.join is None)
     found = EmJoin(samples.rows(rows), how)
     if not found.samples.seen.any():
         raise InputError(f"The sensor was not visible in any of the {len(images)} pictures, says {samples.source}.")
@@ -96,18 +98,6 @@ def nearest_rows(samples: EmSamples, t_s: Array, within_s: float = NEAR_S) -> Ro
     nearer = np.abs(clock[order[left]] - t_s) <= np.abs(clock[order[right]] - t_s)
     rows = order[np.where(nearer, left, right)]
     return np.where(np.abs(clock[rows] - t_s) <= within_s, rows, -1)
-
-
-def join_names(names: Sequence[str], images: Sequence[str]) -> Rows:
-    """(M,) row of ``names`` that belongs to each image, -1 where none does.
-
-    The same name counts first; then the same name without folder, ending and leading zeros, unless two rows share it.
-    """
-    exact = {name: i for i, name in enumerate(names)}
-    plain = [_plain(name) for name in names]
-    count = Counter(plain)
-    loose = {name: i for i, name in enumerate(plain) if count[name] == 1}
-    return np.array([exact.get(image, loose.get(_plain(image), -1)) for image in images], int)
 
 
 def _by_clock(samples: EmSamples, named: Rows, times: Array, within_s: float) -> bool:
@@ -147,42 +137,7 @@ def _in_step(clock: Array, times: Array, within_s: float) -> bool:
     return bool(np.abs(ahead - np.median(ahead)).max() <= within_s + _SAME_RATE * np.ptp(times))
 
 
-def _check_counting(samples: EmSamples, images: Sequence[str]) -> None:
-    """Refuse numbers from 1 of as many pictures as are counted from 0: each would have its neighbor's reading.
-
-    Raises:
-        InputError: they are.
-    """
-    if samples.key is None or samples.key_column != "frame":
-        return
-    try:
-        numbers, pictures = ([int(float(_plain(word))) for word in words] for words in (samples.key, images))
-    except (ValueError, OverflowError):
-        return
-    if (min(numbers), max(numbers)) == (1, max(pictures) + 1) and min(pictures) == 0 and len(pictures) > _FEW:
-        raise InputError(
-            f"{samples.source} counts its frames from 1 to {max(numbers)}, the pictures are counted from 0 to "
-            f"{max(pictures)}: number them from 0, or say em_join=frame if picture 1 is really its frame 1."
-        )
-
-
-def _check_order(samples: EmSamples, within_s: float) -> None:
-    """Refuse a clock that jumps back: the same time would then stand for two moments.
-
-    Raises:
-        InputError: it does.
-    """
-    t = np.asarray(samples.t_s, float)
-    t = t[np.isfinite(t)]
-    steps = np.diff(t)
-    if len(steps) and steps.max() > 0 and (at := np.flatnonzero(steps < -within_s)).size:
-        raise InputError(
-            f"The clock of {samples.source} jumps back from {t[at[0]]:.3f} to {t[at[0] + 1]:.3f} s: two recordings in "
-            "one file? Give the one that belongs to the pictures."
-        )
-
-
-def _check_clock(samples: EmSamples, rows: Rows, times: Array, within_s: float, any_unit: bool) -> None:
+def _check_times(samples: EmSamples, rows: Rows, times: Array, within_s: float, any_unit: bool) -> None:
     """Refuse times of another unit or of another clock.
 
     Raises:
@@ -190,17 +145,18 @@ def _check_clock(samples: EmSamples, rows: Rows, times: Array, within_s: float, 
     """
     if samples.t_s is None:
         return
-    _check_order(samples, within_s)
+    check_clock(samples, within_s)
     found = int((rows >= 0).sum())
-    for unit, factor in TIME_S.items() if any_unit else ():
-        near = nearest_rows(replace(samples, t_s=samples.t_s * factor), times, within_s)
-        scaled = len(np.unique(near[near >= 0]))  # a clock that stands still in this unit is none
-        if found < 0.5 * len(rows) and scaled > max(2 * found, _FEW):
+    if any_unit and found < 0.5 * len(rows):
+        scaled, unit = max((_in_unit(samples, times, within_s, factor), unit) for unit, factor in TIME_S.items())
+        if scaled > max(2 * found, _FEW, 0.5 * len(rows)):
             raise InputError(
                 f"{found} of {len(rows)} pictures have a reading of {samples.source}, and {scaled} would have one if "
                 f"its times were in {unit}. Say em_time_unit={unit} (or s, if they are right), or name the column "
                 f"t_{unit}."
             )
+    if any_unit:
+        check_pace(samples)
     if found == 0:
         first, last = float(np.nanmin(samples.t_s)), float(np.nanmax(samples.t_s))
         raise InputError(
@@ -211,14 +167,32 @@ def _check_clock(samples: EmSamples, rows: Rows, times: Array, within_s: float, 
         )
 
 
+def _in_unit(samples: EmSamples, times: Array, within_s: float, factor: float) -> int:
+    """How many pictures would have readings of their own if the log's seconds were ``factor`` of one."""
+    near = nearest_rows(replace(samples, t_s=np.asarray(samples.t_s) * factor), times, within_s)
+    return len(np.unique(near[near >= 0]))  # a clock that stands still in this unit is none
+
+
+def _check_one_each(samples: EmSamples, times: Array, within_s: float) -> None:
+    """Refuse a log of as many readings as there are pictures whose times are not those of the pictures.
+
+    Raises:
+        InputError: they are not.
+    """
+    t = np.sort(np.asarray(samples.t_s, float))
+    if len(t) != len(times) or not np.isfinite([t, times]).all() or np.abs(t - times).max() <= within_s:
+        return
+    raise InputError(
+        f"{samples.source} has {len(t)} readings, as many as there are pictures, but its times run from {t[0]:.3f} to "
+        f"{t[-1]:.3f} s, the pictures' from {times[0]:.3f} to {times[-1]:.3f}. If each reading belongs to one picture, "
+        "add a column frame that numbers them from 0; if the clocks are right, say em_join=time; if one is ahead, say "
+        "em_offset_s= (and fps= where the pictures come from a folder)."
+    )
+
+
 def _no_reading(samples: EmSamples, images: Sequence[str]) -> str:
     first = None if samples.key is None else samples.key[0]
     return (
         f"0 of {len(images)} pictures have an EM reading: {samples.source} names {first!r} first, the pictures "
         f"{images[0] if images else None!r}. Give the EM file a column image or frame that names them, or t_s in both."
     )
-
-
-def _plain(name: str) -> str:
-    stem = Path(name).stem
-    return (stem.lstrip("0") or "0") if stem.isascii() and stem.isdecimal() else stem

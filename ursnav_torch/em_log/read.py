@@ -9,16 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.columns import EM_COLUMNS
+from ursnav_torch.em_log.lengths import check_lengths
 from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
 from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, flagged_seen, in_field, no_place
+from ursnav_torch.em_log.sensors import check_one_sensor, rows_of_one_sensor
 from ursnav_torch.em_log.sequence import SEQUENCE_SUFFIXES, read_sequence
 from ursnav_torch.errors import InputError
 from ursnav_torch.tables import Row, number, read_csv
 
 Array = NDArray[np.float64]
 
-#: A sensor that is held still scatters by more than this, mm: a smaller spread is one of meters.
-_SMALLEST_SPREAD_MM = 0.5
+#: A quaternion may be so much longer or shorter than 1, by rounding.
+_LONGER = 0.02
+#: A whole number as some programs write it, 12.0.
+_WHOLE = re.compile(r"^(\d+)\.0+$", re.ASCII)
+#: Words for an orientation by three angles.
+_ANGLES = ("rx", "ry", "rz", "azimuth", "elevation", "roll", "pitch", "yaw", "a", "b", "c", "alpha", "beta", "gamma")
 #: So many readings that are the same to the last digit are said.
 _REPEATS = 10
 
@@ -39,6 +45,7 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
         return read_sequence(Path(path), form)
     rows = read_csv(path, (), "EM")
     names = _names(rows[0], Path(path))
+    rows = rows_of_one_sensor(rows, names, form)
     at, unit = _length_columns(names, Path(path), form)
     position = _numbers(rows, at) * unit
     quaternion = _quaternions(rows, names)
@@ -48,13 +55,15 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
     position[~seen] = axis[~seen] = np.nan
     if quaternion is not None:
         quaternion[~seen] = np.nan
-    _check_spread(position, Path(path), form)
+    t_s = _times(rows, names, form)
+    check_lengths(position, t_s, str(path), form)
+    check_one_sensor(position, str(path))
     key = next((name for name in ("image", "frame") if name in names), None)
     return EmSamples(
         position_mm=position,
         axis=axis,
-        t_s=_times(rows, names, form),
-        key=tuple(row[names[key]].strip() for row in rows) if key else None,
+        t_s=t_s,
+        key=tuple(_WHOLE.sub(r"\1", row[names[key]].strip()) for row in rows) if key else None,
         key_column=key,
         quaternion=quaternion,
         source=str(path),
@@ -108,7 +117,14 @@ def _quaternions(rows: list[Row], names: Mapping[str, str]) -> Array | None:
         if all(c in names for c in order):
             q = _numbers(rows, [names[c] for c in order])
             length = np.linalg.norm(q, axis=1, keepdims=True)
-            return np.asarray(q / np.where(length > 1e-9, length, np.nan))
+            there = length > 1e-9
+            if (off := there & (np.abs(length - 1) > _LONGER)).any():
+                row = rows[int(off.argmax())]
+                raise InputError(
+                    f"{row.path}, line {row.line}: the quaternion has the length {length[off][0]:.4g}, expected 1: are "
+                    "these other numbers, such as angles? Rename the columns then."
+                )
+            return np.asarray(q / np.where(there, length, np.nan))
     return None
 
 
@@ -118,6 +134,12 @@ def _axes(rows: list[Row], names: Mapping[str, str], quaternion: Array | None) -
         length = np.linalg.norm(axis, axis=1, keepdims=True)
         return np.asarray(axis / np.where(length > 1e-9, length, np.nan))
     if quaternion is None:
+        if unread := [names[c] for c in _ANGLES if c in names]:
+            warnings.warn(
+                f"{rows[0].path}: the columns {', '.join(unread)} are not read, since trackers turn about their axes "
+                "in different orders. Where the sensor points is unknown; write dx,dy,dz or qx,qy,qz,qw if needed.",
+                stacklevel=3,
+            )
         return np.full((len(rows), 3), np.nan)
     x, y, z, w = quaternion.T
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
@@ -151,19 +173,14 @@ def _check_repeats(position: Array, seen: NDArray[np.bool_], rows: list[Row]) ->
     ends = np.concatenate([[0], changes, [len(position)]])
     longest = int(np.diff(ends).argmax())
     first, last = int(ends[longest]), int(ends[longest + 1]) - 1
-    if _REPEATS <= last - first + 1 < int(seen.sum()) and seen[first]:
+    if int(seen.sum()) == last - first + 1 >= _REPEATS and seen[first]:
+        raise InputError(
+            f"All {int(seen.sum())} readings of {rows[0].path} are the same to the last digit: the tracker repeated "
+            "its first one, and nothing was measured. Record again with the sensor in the field."
+        )
+    if _REPEATS <= last - first + 1 and seen[first]:
         warnings.warn(
             f"{rows[0].path}, lines {rows[first].line} to {rows[last].line}: {last - first + 1} readings are the same "
             "to the last digit. Does the tracker repeat its last one while it sees nothing? Blank their cells then.",
             stacklevel=3,
-        )
-
-
-def _check_spread(position: Array, path: Path, form: EmFormat) -> None:
-    seen = position[np.isfinite(position).all(axis=1)]
-    spread = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) >= 10 else 0.0
-    if form.unit is None and 0 < spread < _SMALLEST_SPREAD_MM:
-        raise InputError(
-            f"The {len(seen)} positions of {path} lie within {spread:.2g} mm, closer than a sensor that is held still. "
-            "If they are in meters, say em_unit=m; if they are right, em_unit=mm."
         )

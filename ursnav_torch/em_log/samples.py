@@ -10,9 +10,9 @@ from ursnav_torch.errors import InputError
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-#: mm a unit of length, s a unit of time: what stands behind ``x_`` and ``t_`` in column names.
+#: mm a unit of length, s a unit of time: what stands behind ``x_`` and ``t_`` in column names. Ticks are .NET's.
 LENGTH_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-TIME_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ticks": 1e-7, "min": 60.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +21,10 @@ class EmFormat:
 
     Args:
         unit: of positions: mm, cm, m.
-        time_unit: of times: s, ms, us, ns.
+        time_unit: of times: s, ms, us, ns, ticks (of 100 ns), min.
         offset_s: the log's clock when the pictures' shows zero; it is taken off.
         join: ``frame`` where frame numbers are the pictures', ``time`` where they are the tracker's own.
-        tool: name of the sensor's transform in a sequence of Plus, where it has several.
+        tool: the sensor's name where a log has several: of its transform in a sequence of Plus, or in a column tool.
 
     Raises:
         InputError: a word that is none of these.

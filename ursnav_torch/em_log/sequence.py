@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.em_log.samples import EmFormat, EmSamples
+from ursnav_torch.em_log.lengths import check_lengths
+from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
 from ursnav_torch.errors import InputError
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ def read_sequence(path: Path, form: EmFormat) -> EmSamples:
     The transform is the only one named ``...ToTracker`` (or ``...ToReference``), or what ``em_tool`` names.
 
     Raises:
-        InputError: no such file, no frame in it, no transform or several, or one that is none.
+        InputError: no such file, no frame in it, no transform or several, or one that is none; see `check_lengths`.
     """
     frames = _frames(path)
     name = _chosen(frames, path, form.tool)
@@ -43,7 +44,10 @@ def read_sequence(path: Path, form: EmFormat) -> EmSamples:
     position[ok], axis[ok] = T[ok, :3, 3], T[ok, :3, 2]
     if ok.any():
         quaternion[ok] = Rotation.from_matrix(R[ok]).as_quat()
-    return EmSamples(position, axis, _clock(frames, path) - form.offset_s, quaternion=quaternion, source=str(path))
+    position *= LENGTH_MM[form.unit or "mm"]
+    t_s = _clock(frames, path) * TIME_S[form.time_unit or "s"] - form.offset_s
+    check_lengths(position, t_s, str(path), form)
+    return EmSamples(position, axis, t_s, quaternion=quaternion, source=str(path))
 
 
 def _frames(path: Path) -> list[dict[str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 from ursnav_torch.calibration.hand_eye import TipCalibration, calibrate_tip
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.devices import TrackerSample
-from ursnav_torch.em_log import EmFormat, EmSamples, read_em_samples
+from ursnav_torch.em_log import EmFormat, EmSamples, check_clock, check_pace, read_em_samples
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array, transform_from_quaternion
 from ursnav_torch.records import read_json
@@ -26,7 +26,11 @@ def tip_of_track(track: Path, em: Path, form: EmFormat | None = None) -> TipCali
     rows = read_track(track)
     T = rows.T_kidney_camera.copy()
     T[[state != TRACKING for state in rows.state]] = np.nan
-    return calibrate_tip(T, rows.t_s, read_em_samples(em, form))
+    samples = read_em_samples(em, form)
+    check_clock(samples)
+    if form is None or form.time_unit is None:
+        check_pace(samples)
+    return calibrate_tip(T, rows.t_s, samples)
 
 
 def tip_of_session(record: Path) -> TipCalibration:

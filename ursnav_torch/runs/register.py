@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ursnav_torch.em_log import read_em_samples
+from ursnav_torch.em_log import EmSamples
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.registration.centerline import register_centerline
@@ -18,7 +18,7 @@ from ursnav_torch.registration.touched_surface import register_surface
 
 def landmarks_job(
     landmarks: Path | None,
-    points: Path | None,
+    points: EmSamples | None,
     kidney: Kidney | None,
     *,
     reach_mm: float = 0.0,
@@ -50,15 +50,19 @@ def landmarks_job(
 
 
 def surface_job(
-    landmarks: Path | None, points: Path | None, kidney: Kidney | None, *, trim: float = 0.9, max_error_mm: float = 5.0
+    landmarks: Path | None,
+    points: EmSamples | None,
+    kidney: Kidney | None,
+    *,
+    trim: float = 0.9,
+    max_error_mm: float = 5.0,
 ) -> Registration:
-    """``registration=surface``: `register_surface` on a file of touched points (x_mm,y_mm,z_mm; dx,dy,dz if known).
+    """``registration=surface``: `register_surface` on touched points, with axes if known.
 
     Raises:
-        InputError, RegistrationError: as `register_surface` does; or the file or the kidney is missing.
+        InputError, RegistrationError: as `register_surface` does; or the points or the kidney are missing.
     """
-    points, kidney = _points_and_kidney("surface", landmarks, points, kidney)
-    samples = read_em_samples(points)
+    samples, kidney = _points_and_kidney("surface", landmarks, points, kidney)
     found = register_surface(
         samples.position_mm, kidney.mesh, axis_em=samples.axis, trim=trim, max_error_mm=max_error_mm
     )
@@ -67,19 +71,18 @@ def surface_job(
 
 def centerline_job(
     landmarks: Path | None,
-    points: Path | None,
+    points: EmSamples | None,
     kidney: Kidney | None,
     *,
     sensor_offset_mm: tuple[float, float, float] | None = None,
     max_error_mm: float = 5.0,
 ) -> Registration:
-    """``registration=centerline``: `register_centerline` on a file of EM samples.
+    """``registration=centerline``: `register_centerline` on EM samples.
 
     Raises:
-        InputError, RegistrationError: as `register_centerline` does; or the file or the kidney is missing.
+        InputError, RegistrationError: as `register_centerline` does; or the points or the kidney are missing.
     """
-    points, kidney = _points_and_kidney("centerline", landmarks, points, kidney)
-    samples = read_em_samples(points)
+    samples, kidney = _points_and_kidney("centerline", landmarks, points, kidney)
     found = register_centerline(
         samples.position_mm,
         samples.axis,
@@ -92,8 +95,8 @@ def centerline_job(
 
 
 def _points_and_kidney(
-    choice: str, landmarks: Path | None, points: Path | None, kidney: Kidney | None
-) -> tuple[Path, Kidney]:
+    choice: str, landmarks: Path | None, points: EmSamples | None, kidney: Kidney | None
+) -> tuple[EmSamples, Kidney]:
     if points is None or landmarks is not None:
         raise InputError(f"registration={choice} takes points=FILE; landmarks=FILE goes with registration=landmarks.")
     if kidney is None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.devices.base import EmTracker, SourceAtEndError, TrackerSample, Vector3
-from ursnav_torch.em_log import read_em_samples
+from ursnav_torch.em_log import EmFormat, read_em_samples
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 
 
@@ -18,17 +18,18 @@ class CsvTracker(EmTracker):
         path: the file; without ``t_s`` its rows come at ``rate_hz``.
         speed: 1 for real time, larger for faster, 0 for as fast as it is read.
         rate_hz: rows a second where the file has no times.
+        em_unit: of its lengths, where it does not say it, see `EmFormat`.
 
     Raises:
         InputError: the file cannot be used; its times must not run backwards.
     """
 
-    def __init__(self, path: str | Path, speed: float = 1.0, rate_hz: float = 40.0) -> None:
+    def __init__(self, path: str | Path, speed: float = 1.0, rate_hz: float = 40.0, em_unit: str | None = None) -> None:
         super().__init__()
         if speed < 0 or rate_hz <= 0:
             raise InputError(f"speed must be 0 or more and rate_hz positive, got {speed} and {rate_hz}.")
         self.path, self.speed = Path(path), speed
-        samples = read_em_samples(self.path)
+        samples = read_em_samples(self.path, EmFormat(em_unit))
         times = np.arange(len(samples.position_mm)) / rate_hz if samples.t_s is None else samples.t_s
         if not np.isfinite(times).all():
             raise InputError(f"{self.path}: t_s is blank in data row {int(np.isnan(times).argmax()) + 1}; fill it.")
