@@ -112,7 +112,7 @@ class Centerline:
         return chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Kidney:
     """A collecting system.
 
@@ -131,6 +131,9 @@ class Kidney:
     pelvis_mm: Array
     scale: float
     source: str
+
+    def __repr__(self) -> str:
+        return f"<Kidney of {len(self.calyces)} calyces, {self.source}>"
 
     @property
     def tips_mm(self) -> Array:

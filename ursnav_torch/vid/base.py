@@ -40,7 +40,7 @@ class ViewFeatures:
         return len(self.points)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Vid:
     """A kidney, a lens, and views of one through the other with known poses.
 
@@ -69,6 +69,10 @@ class Vid:
 
     def __len__(self) -> int:
         return len(self.T_kidney_camera)
+
+    def __repr__(self) -> str:
+        lens = f"{self.camera.model} {self.camera.width} x {self.camera.height}"
+        return f"<Vid of {len(self)} views of {self.kidney!r} through {lens}>"
 
     def extractor(self) -> Extractor:
         """An extractor as the views' features were made with."""
