@@ -13,16 +13,15 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from benchmarks.certainty.population import kinds
 from benchmarks.shared.phantoms import phantom_vid
-from benchmarks.shared.results import Report, errors_told, overrides
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.shared.statistics import wilson
-from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.errors import FeatureError
 from ursnav_torch.features import Features
 from ursnav_torch.kidney import make_phantom_kidney, observed_calyx
 from ursnav_torch.localization import Query, simulated_queries
@@ -71,14 +70,13 @@ def ways() -> dict[str, Matching]:
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
-    if not settings["work"]:
-        raise InputError("work= must name a folder for the phantoms' VIDs.")
+    work = work_folder(settings, "the phantoms' VIDs")
     report = Report("finalists", {k: settings[k] for k in ("phantoms", "views", "pictures")})
     answers: dict[str, list[Answered]] = {name: [] for name in ways()}
     plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
     for half, first in ((CHOOSING, CHOOSING_SEED), (JUDGING, JUDGING_SEED)):
         for seed in range(first, first + settings["phantoms"]):
-            folder = Path(settings["work"]) / f"finalists_{seed}_{settings['views']}"
+            folder = work / f"finalists_{seed}_{settings['views']}"
             ask(phantom_vid(make_phantom_kidney(seed), plan, folder), half, seed, settings["pictures"], answers)
             print(f"{half}: phantom {seed} done", file=sys.stderr, flush=True)
     for name, own in answers.items():

@@ -226,6 +226,19 @@ def overrides(defaults: dict[str, Any], arguments: Sequence[str]) -> dict[str, A
     return values
 
 
+def work_folder(settings: Mapping[str, Any], holds: str) -> Path:
+    """The folder ``work=``, made where it is missing; ``holds`` says what is kept there.
+
+    Raises:
+        InputError: none was given.
+    """
+    if not settings["work"]:
+        raise InputError(f"work= must name a folder for {holds}.")
+    folder = Path(settings["work"])
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def _usage(text: str) -> int:
     print(text, file=sys.stderr)
     return 2

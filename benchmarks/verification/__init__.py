@@ -20,12 +20,11 @@ import numpy as np
 import torch
 from safetensors.torch import save
 
-from benchmarks.shared.results import Report, errors_told, overrides
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.verification.pictures import HYPOTHESES, ROUNDS, Lessons, lessons
 from benchmarks.verification.train import case, first_is_right, train
 from ursnav_torch.alignment import verification
 from ursnav_torch.alignment.verification import WEIGHTS, VerificationNetwork
-from ursnav_torch.errors import InputError
 
 DEFAULTS = {
     "work": "", "phantoms": 4, "kept_back": 2, "pictures": 16, "views": 60, "epochs": 8, "seed": 0, "save": False,
@@ -40,10 +39,7 @@ _ROUND_NAMES = ("after the coarse round", "after a fine round")
 def main(arguments: Sequence[str]) -> int:
     """Align what is not aligned yet, teach, judge, write."""
     settings = overrides(DEFAULTS, arguments)
-    if not settings["work"]:
-        raise InputError("work= must name a folder for what is aligned (about 40 MB a phantom).")
-    work = Path(settings["work"])
-    work.mkdir(parents=True, exist_ok=True)
+    work = work_folder(settings, "what is aligned (about 40 MB a phantom)")
     torch.set_num_threads(1)
     last = FIRST_SEED + settings["phantoms"]
     network = train(_lessons(range(FIRST_SEED, last), settings, work), settings["epochs"], settings["seed"])

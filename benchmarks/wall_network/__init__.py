@@ -17,11 +17,10 @@ from pathlib import Path
 import torch
 from safetensors.torch import save
 
-from benchmarks.shared.results import Report, errors_told, overrides
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.wall_network.pictures import lesson
 from benchmarks.wall_network.targets import Batch, batch_of, join
 from benchmarks.wall_network.train import train, validate
-from ursnav_torch.errors import InputError
 from ursnav_torch.features import network as network_module
 from ursnav_torch.features.network import WEIGHTS, WallNetwork
 
@@ -37,10 +36,7 @@ LEARNED_FROM, KEPT_BACK = 7000, 8000
 def main(arguments: Sequence[str]) -> int:
     """Draw what is not drawn yet, teach, judge, write."""
     settings = overrides(DEFAULTS, arguments)
-    if not settings["work"]:
-        raise InputError("work= must name a folder for the pictures drawn (about 20 MB a phantom).")
-    work = Path(settings["work"])
-    work.mkdir(parents=True, exist_ok=True)
+    work = work_folder(settings, "the pictures drawn (about 20 MB a phantom)")
     learned = range(LEARNED_FROM, LEARNED_FROM + settings["phantoms"])
     kept = range(KEPT_BACK, KEPT_BACK + settings["kept_back"])
     draw([*learned, *kept], work, settings["workers"])

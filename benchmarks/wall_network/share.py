@@ -8,14 +8,13 @@ VIDs), ``phantoms=3`` ``views=60`` (a calyx) ``pictures=24`` (a calyx, the kinds
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.certainty.population import kinds
 from benchmarks.shared.phantoms import phantom_vid
-from benchmarks.shared.results import Report, errors_told, overrides
-from ursnav_torch.errors import FeatureError, InputError
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
+from ursnav_torch.errors import FeatureError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer, Query, simulated_queries
@@ -33,13 +32,12 @@ _NOWHERE_MM = 100.0
 def main(arguments: Sequence[str]) -> int:
     """Run the choice, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
-    if not settings["work"]:
-        raise InputError("work= must name a folder for the phantoms' VIDs.")
+    work = work_folder(settings, "the phantoms' VIDs")
     report = Report("wall_network_share", {k: v for k, v in settings.items() if k not in ("work", "out")})
     answers: dict[tuple[str, float], list[tuple[bool, float]]] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + settings["phantoms"]):
         plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
-        vid = phantom_vid(make_phantom_kidney(seed), plan, Path(settings["work"]) / f"share_{seed}_{settings['views']}")
+        vid = phantom_vid(make_phantom_kidney(seed), plan, work / f"share_{seed}_{settings['views']}")
         alike = replace(
             plan, views_per_calyx=settings["pictures"], passage_views=0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0,
             roll_deg=180.0, seed=77,

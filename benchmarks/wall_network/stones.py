@@ -9,16 +9,14 @@ without one nothing is found. Arguments, each ``key=value``: ``work=DIR`` (the l
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from benchmarks.shared.results import Report, errors_told, overrides
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.wall_network.pictures import Lesson, lesson
-from ursnav_torch.errors import InputError
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
 from ursnav_torch.features.network import WallReader, lens_rays
 from ursnav_torch.rendering.sensor.bodies import STONE
@@ -56,12 +54,11 @@ class Count:
 def main(arguments: Sequence[str]) -> int:
     """Count, print the table and write the JSON file."""
     settings = overrides(DEFAULTS, arguments)
-    if not settings["work"]:
-        raise InputError("work= must name the folder of the lessons.")
+    work = work_folder(settings, "the lessons")
     torch.set_num_threads(1)
     counts = {sure: Count() for sure in SURE}
     for seed in range(FIRST_SEED, FIRST_SEED + settings["phantoms"]):
-        taught = lesson(seed, Path(settings["work"]))
+        taught = lesson(seed, work)
         if taught is not None:
             _look(taught, counts)
     report = Report("wall_network_stones", {"phantoms": settings["phantoms"]})
