@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -146,7 +147,12 @@ def _add_navigation(report: Report, group: str, found: Beside) -> None:
 def _add_browser(report: Report, group: str, found: Beside) -> None:
     """What the browser showed, and how late."""
     at = np.array([t for t, _, _ in found.seen])
-    shown = [(t, found.states[v], line) for t, v, line in found.seen if v in found.states]
+    noted = sorted(found.states)  # of states in quick succession the noting thread may see the last one alone
+    shown = [
+        (t, found.states[noted[bisect_right(noted, v) - 1]], line)
+        for t, v, line in found.seen
+        if noted and v >= noted[0]
+    ]
     late = [1e3 * (t - published) for t, (published, _), _ in shown]
     report.add(group, "states shown by the browser", "1/s", [(len(at) - 1) / (at[-1] - at[0])], n=len(at))
     report.add(group, "from one state shown to the next", "ms", (1e3 * np.diff(at)).tolist())

@@ -6,8 +6,8 @@ from statistics import median
 #: What each level of effort means, in plain words.
 WORDS = (
     "",
-    "The machine is slow: poses are refined less.",
-    "The machine is slow: poses are refined less and fewer places are searched.",
+    "Slow machine: refining less.",
+    "Slow machine: refining and searching less.",
 )
 WINDOW = 8
 RELAPSE = 120
