@@ -1,14 +1,17 @@
 """Is the sensor's place on the camera found, and the clocks' offset, with the uncertainty that is told?
 
-    python -m benchmarks.hand_eye [data=DIR] [seconds=240] [first=0]
+    python -m benchmarks.hand_eye [data=DIR [work=DIR]] [seconds=240] [first=0] [astray=0.06]
 
 20 simulated sessions from the seed ``first`` on, each with its own sensor, registration, offset and a track whose
-errors go on from picture to picture; and, with data=, the supplied videos' true poses and EM logs. How well a session
+errors go on from picture to picture, or with ``astray`` leave the place by up to 15 mm for that part of the time; with
+data=, the supplied videos' true poses and EM logs; and with work=, too, their tracks without EM (``track
+offline=true`` in a VID of the default size; VIDs and tracks stay there: some 20 minutes at first). How well a session
 can tell is a matter of its length: weighted as well as can be, errors of 0.8 mm and 3 degrees that last a second leave
 1.5 times as much after two minutes as after four (``seconds=120``).
 """
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.shared.kidneys import vid_of
 from benchmarks.shared.results import Report, overrides
 from ursnav_torch.calibration.hand_eye import TipCalibration, calibrate_tip
 from ursnav_torch.em_log import EmSamples, read_em_samples
@@ -24,7 +28,7 @@ from ursnav_torch.geometry import Array, apply, look_along, transform_from
 #: Pictures a second, readings a second.
 _FPS, _EM_HZ = 10.0, 40.0
 #: As long as `calibrate_tip` asks for; sessions that no choice saw begin at 0, choices were made on those from 100 on.
-SETTINGS: dict[str, Any] = {"data": "", "seconds": 240.0, "first": 0, "out": ""}
+SETTINGS: dict[str, Any] = {"data": "", "seconds": 240.0, "first": 0, "astray": 0.0, "work": "", "out": ""}
 _SESSIONS = 20
 
 
@@ -61,11 +65,26 @@ def _tracked(T: Array, rng: np.random.Generator) -> Array:
     return found
 
 
-def simulated(first: int, seconds: float) -> Array:
+def _gone_astray(T: Array, rng: np.random.Generator, share: float) -> Array:
+    """Poses (N, 4, 4) of which a share, some seconds at a time, is off by 2.5 to 15 mm and some degrees."""
+    found, count = T.copy(), 0
+    while count < share * len(T):
+        first, length = int(rng.integers(0, len(T))), int(rng.integers(5, 40))
+        away = rng.normal(0, 1, 3)
+        ahead = T[first, :3, 2] if rng.random() < 0.5 else away / np.linalg.norm(away)
+        found[first : first + length, :3, 3] += ahead * rng.uniform(2.5, 15)
+        turn = Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix()
+        found[first : first + length, :3, :3] = found[first : first + length, :3, :3] @ turn
+        count += length
+    return found
+
+
+def simulated(first: int, seconds: float, astray: float = 0.0) -> Array:
     """Misses in mm, degrees and ms, and the place's and offset's in standard deviations, of every session (20, 5)."""
     rows = []
     for seed in range(first, first + _SESSIONS):
         T, t_s, samples, offset, axis, ahead = simulated_drive(seed, seconds)
+        T = _gone_astray(T, np.random.default_rng(seed), astray)
         found = calibrate_tip(T, t_s, samples)
         miss, late = found.offset_mm - offset, found.em_offset_s - ahead
         angle = np.degrees(np.arccos(np.clip(found.axis @ axis, -1, 1)))
@@ -89,20 +108,42 @@ def supplied(data: Path) -> list[tuple[str, TipCalibration, Array]]:
     return found
 
 
+def supplied_tracks(data: Path, work: Path) -> list[tuple[str, TipCalibration, Array]]:
+    """The same videos, by their tracks without EM instead of their true poses."""
+    from ursnav_torch.runs.calibrate_tip import tip_of_track
+
+    found = []
+    for about in sorted(data.glob("*/video.json")):
+        name, track = about.parent.name, work / f"{about.parent.name}_track.csv"
+        if not track.exists():
+            vid_of(data, name, work)
+            call = [sys.executable, "-m", "ursnav_torch.track", f"vid={work / (name + '_default')}"]
+            subprocess.run([*call, f"source={about.with_suffix('.mp4')}", f"out={track}", "offline=true"], check=True)
+        truth = json.loads(about.read_text(encoding="utf-8"))["sensor_offset_camera_mm"]
+        found.append((name, tip_of_track(track, about.parent / "video_em.csv"), np.array(truth)))
+    return found
+
+
 def main(arguments: list[str]) -> None:
     """Print and keep the figures."""
     settings = overrides(SETTINGS, arguments)
-    report = Report("hand_eye", settings | {"data": ""})
-    rows = simulated(int(settings["first"]), float(settings["seconds"]))
+    report = Report("hand_eye", settings | {"data": "", "work": ""})
+    rows = simulated(int(settings["first"]), float(settings["seconds"]), float(settings["astray"]))
     for name, unit, column in (("place", "mm", 0), ("axis", "deg", 1), ("clocks", "ms", 2)):
         report.add("sessions", name, unit, rows[:, column].tolist())
         report.add("worst of the sessions", name, unit, [float(rows[:, column].max())], n=len(rows))
     for name, column in (("place", 3), ("clocks", 4)):
         spread = float(np.sqrt(np.mean(rows[:, column] ** 2)))
         report.add("root mean square miss in standard deviations told", name, "sd", [spread], "1 is right", len(rows))
-    for name, found, truth in supplied(Path(settings["data"])) if settings["data"] else ():
-        late = f"clocks {1e3 * found.em_offset_s:.1f} ms apart, which are one"
-        report.add("supplied", name, "mm", [float(np.linalg.norm(found.offset_mm - truth))], late)
+    data, work = Path(settings["data"]), Path(settings["work"])
+    groups = {"supplied, true poses": supplied(data)} if settings["data"] else {}
+    if settings["data"] and settings["work"]:
+        groups["supplied, tracked without EM"] = supplied_tracks(data, work)
+    for group, calibrations in groups.items():
+        for name, found, truth in calibrations:
+            note = f"clocks {1e3 * found.em_offset_s:.1f} ms apart, which are one; {found.n} pictures, "
+            note += f"{found.astray} left out; {np.round(found.offset_mm - truth, 2).tolist()} mm"
+            report.add(group, name, "mm", [float(np.linalg.norm(found.offset_mm - truth))], note)
     report.finish(settings["out"])
 
 

@@ -36,6 +36,29 @@ def test_poses_that_are_missing_and_readings_that_are_not_visible_are_left_out()
     assert np.linalg.norm(calibrate_tip(T, t_s, samples).offset_mm - offset) < 1.0
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_track_that_goes_astray_for_some_seconds_does_not_draw_the_place_along(seed: int) -> None:
+    T, t_s, samples, offset, *_ = simulated_drive(seed)
+    ahead = T.copy()
+    for first in range(50, 1200, 300):
+        ahead[first : first + 30, :3, 3] += 8 * T[first, :3, 2]
+    found = calibrate_tip(ahead, t_s, samples)
+    assert 120 <= found.astray <= 200 and found.n > 1000
+    assert np.linalg.norm(found.offset_mm - calibrate_tip(T, t_s, samples).offset_mm) < 0.15
+    assert np.linalg.norm(found.offset_mm - offset) < 0.6
+
+
+def test_logs_of_another_size_and_logs_that_fit_only_in_part_are_refused() -> None:
+    T, t_s, samples, *_ = simulated_drive(2)
+    for factor in (0.1, 10.0):
+        with pytest.raises(RegistrationError, match=r"not of one motion.*another unit \(em_unit=mm, cm or m\)"):
+            calibrate_tip(T, t_s, replace(samples, position_mm=samples.position_mm * factor))
+    half = np.arange(len(samples.position_mm))[:, None] < len(samples.position_mm) * 0.65
+    frozen = np.where(half, samples.position_mm, samples.position_mm[int(half.sum())])
+    with pytest.raises(RegistrationError, match=r"\d+ of \d+ pictures do not agree.*mirrored.*stand still"):
+        calibrate_tip(T, t_s, replace(samples, position_mm=frozen))
+
+
 def test_a_motion_that_does_not_tell_is_refused() -> None:
     T, t_s, samples, *_ = simulated_drive(0)
     still = T.copy()

@@ -12,9 +12,9 @@ from ursnav_torch.errors import InputError
 #: picture plane has less.
 _FOV_DEG, _FLAT_FOV_DEG = (10.0, 300.0), (10.0, 150.0)
 _ASPECT = (0.5, 2.0)
-#: How far a principal point is off the middle, of the picture's side: more than lenses are mounted off (endocal's two
-#: scopes 0.05), and none any more.
-_FAR_OFF, _AT_THE_RIM = 0.12, 0.4
+#: How far a principal point is off the middle, of the picture's side: more than most lenses are, and none any more
+#: (chosen by ``benchmarks.endocal.lens_sense``: 0.095 and 0.333).
+FAR_OFF, AT_THE_RIM = 0.095, 0.35
 #: Pixels project back onto themselves within this, px.
 _ROUND_TRIP_PX = 0.01
 
@@ -48,9 +48,9 @@ def _check_middle(lens: Camera, where: str) -> None:
         f"{lens.width} x {lens.height} px off the middle: is it the calibration of another resolution, or are row and "
         "column exchanged?"
     )
-    if off > _AT_THE_RIM:
+    if off > AT_THE_RIM:
         raise InputError(f"{told} If pictures were cropped, give the whole one's and camera.crop=[x,y,w,h].")
-    if off > _FAR_OFF:
+    if off > FAR_OFF:
         warnings.warn(told, stacklevel=4)
 
 

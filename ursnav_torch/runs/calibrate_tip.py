@@ -79,6 +79,7 @@ def tip_report(found: TipCalibration, offset_s: float = 0.0) -> dict[str, Any]:
         "R": found.T_kidney_em[:3, :3].tolist(),
         "t_mm": found.T_kidney_em[:3, 3].tolist(),
         "readings": found.n,
+        "astray": found.astray,
         "rms_mm": round(found.rms_mm, 3),
     }
 
@@ -87,7 +88,8 @@ def tip_summary(found: TipCalibration, offset_s: float = 0.0) -> str:
     """A few lines for people."""
     place = ", ".join(f"{v:.2f} ± {s:.2f}" for v, s in zip(found.offset_mm, found.offset_sd_mm, strict=True))
     lines = [
-        f"{found.n} pictures with an EM reading used; residual {found.rms_mm:.2f} mm (RMS)",
+        f"{found.n} pictures with an EM reading used, {found.astray} whose poses are far off left out; "
+        f"residual {found.rms_mm:.2f} mm (RMS)",
         f"sensor in the camera frame: {place} mm",
         f"EM clock ahead of the pictures' by {found.em_offset_s + offset_s:.3f} ± {found.em_offset_sd_s:.3f} s",
     ]
