@@ -65,14 +65,14 @@ class Bench:
 
     def reset(self, heard: bool = True) -> None:
         """The board starts anew, in mid-motion or not; its greeting may be lost on the line."""
-        greeting = self._restarted(heard)
+        greeting = self._restarted()
         if heard:
             os.write(self.port._master, greeting)
 
     def cut_power(self, seconds: float) -> None:
         """The board is without power for a time, silent, and then counts from zero."""
         self.board.answering = False
-        self._restarted(heard=False)
+        self._restarted()
         time.sleep(seconds)
         self.board.answering = True
 
@@ -80,7 +80,7 @@ class Bench:
         """The plug is out for a time; a board that takes its power from it counts from zero then."""
         self.port.unplug()
         if not keeps_power:
-            self._restarted(heard=False)
+            self._restarted()
         time.sleep(seconds)
         self.port = self._plugged()
 
@@ -122,12 +122,10 @@ class Bench:
         board: Any = self.board
         return float(board.axes_mm()[2] if self.grbl else board.steps()[2] / STEPS_PER_MM)
 
-    def _restarted(self, heard: bool) -> bytes:
+    def _restarted(self) -> bytes:
         """What the board says when it starts anew; it stands where it stood, and counts from zero."""
         board: Any = self.board
         with board._lock:
             self._forgotten_mm = self.true_mm()
             greeting: bytes = board.power_cycle() if self.grbl else board.restart()
-            if not (heard or self.grbl):
-                board._announced = False  # an Arduino that nobody asked anew for its topics is silent
-        return greeting
+            return greeting

@@ -10,13 +10,17 @@ from dialogue import dialogue, wait_until
 from motion import motion_after_sigkill, motion_left_s
 
 from ursnav_torch.devices import GrblRobot, JointRates
+from ursnav_torch.devices.robots.reset_watch import ResetWatch, is_mark
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
 from ursnav_torch.simulation.grbl_board import BANNER, SETTINGS, GrblBoard
 from ursnav_torch.simulation.port import SimulatedPort
 
 SETTINGS_TEXT = b"".join(f"${n}={v:g}\r\n".encode() for n, v in SETTINGS.items()) + b"ok\r\n"
 IDLE = b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n"
-CONNECT = [(b"\x18", BANNER), (b"$$\n", SETTINGS_TEXT), (b"?", IDLE)]
+STATE = b"[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F1234 S0]\r\nok\r\n"
+MARK = [(b"F1234\n", b"ok\r\n"), (b"$G\n", STATE)]
+ASK = b"?$G\n"
+CONNECT = [(b"\x18", BANNER), (b"$$\n", SETTINGS_TEXT), (b"?", IDLE), *MARK, (ASK, IDLE + STATE)]
 FORWARD = JointRates(insertion_mm_s=4.0)
 #: 4 mm/s for the horizon of 0.12 s less the ramp of 8 ms.
 JOG = b"$J=G21G91Z0.44800F240.00\n"
@@ -70,7 +74,8 @@ def test_bend_goes_out_as_cable_pulls():
 
 
 def test_the_light_waits_until_the_jog_has_ended():
-    steps = [(b"\x85", b""), (b"?", IDLE.replace(b"Idle", b"Jog")), (b"?", IDLE), (b"M3S300\n", b"ok\r\n")]
+    jogs = IDLE.replace(b"Idle", b"Jog")
+    steps = [(b"\x85", b""), (ASK, jogs + STATE), (ASK, IDLE + STATE), (b"M3S300\n", b"ok\r\n")]
     with dialogue([*CONNECT, *steps, (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
         assert robot.set_light(0.3004) == 0.3
 
@@ -78,7 +83,8 @@ def test_the_light_waits_until_the_jog_has_ended():
 def test_stop_and_acknowledgment_unlock_the_board():
     alarm = b"ALARM:3\r\n" + BANNER + b"[MSG:'$H'|'$X' to unlock]\r\n"
     locked = IDLE.replace(b"Idle", b"Alarm")
-    unlock = [(b"\x18", BANNER), (b"?", locked), (b"$X\n", b"[MSG:Caution: Unlocked]\r\nok\r\n"), (b"?", IDLE)]
+    unlock = [(b"\x18", BANNER), (b"?", locked), (b"$X\n", b"[MSG:Caution: Unlocked]\r\nok\r\n"), *MARK]
+    unlock += [(ASK, IDLE + STATE)]
     with dialogue([*CONNECT, (JOG, b"ok\r\n"), (b"\x18", alarm), *unlock, (b"\x85", b"")]) as (path, _, _):
         with GrblRobot(path) as robot:
             robot.arm()
@@ -115,7 +121,7 @@ def test_a_fault_in_mid_command_stops_the_motors_within_the_deadline(answer, err
 
 @pytest.mark.parametrize("status", [b"<Idle|MPos:0.000,0.0\r\n", b"<Idle|WPos:0.000,0.000,0.000|FS:0,0>\r\n"])
 def test_an_unreadable_status_is_refused(status):
-    with dialogue([*CONNECT, (b"?", status), (b"\x18", b""), (b"\x85", b"")]) as (path, _, _):
+    with dialogue([*CONNECT, (ASK, status + STATE), (b"\x18", b""), (b"\x85", b"")]) as (path, _, _):
         with GrblRobot(path) as robot, pytest.raises(DeviceProtocolError, match="unreadable status"):
             robot.read()
 
@@ -175,7 +181,7 @@ def test_the_robot_goes_where_it_was_sent(board, robot):
 
 def greeted(greeting, status=IDLE, settings=SETTINGS_TEXT):
     """What a board of another make says while it is connected."""
-    return [(b"\x18", greeting), (b"$$\n", settings), (b"?", status)]
+    return [(b"\x18", greeting), (b"$$\n", settings), (b"?", status), *MARK, (ASK, status + STATE)]
 
 
 @pytest.mark.parametrize(
@@ -278,3 +284,57 @@ def test_sigkill_while_driving_ends_the_motion_within_half_a_second(board):
     stood = board.axes_mm()
     time.sleep(0.6)
     np.testing.assert_array_equal(board.axes_mm(), stood)
+
+
+@pytest.mark.parametrize(
+    ("line", "seen"),
+    [
+        ("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F1234 S0]", True),
+        ("[GC:G0 G54 G17 G21 G90 G94 M0 M5 M9 T0 S0.0 F1234.000]", True),
+        ("[GC:G0 G54 G17 G21 G90 G94 G49 G98 G50 M5 M9 T0 F1234. S0.]", True),
+        ("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S1234]", False),
+        ("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F12340 S0]", False),
+        ("ok", None),
+        ("[MSG:F1234]", None),
+    ],
+)
+def test_the_mark_is_read_from_the_parsers_state(line, seen):
+    assert is_mark(line) is seen
+
+
+@pytest.mark.parametrize("reset", ["soft", "power"])
+def test_convention_a_reset_of_either_kind_wipes_the_feed_rate_and_a_jog_does_not(reset):
+    """GRBL's doc/markdown/commands.md: T, S and F "all default to 0 upon a reset"; jogs alter no parser state."""
+    board = GrblBoard()
+    assert board.handle(b"F1234\n$J=G21G91Z0.1F60.00\n?$G\n").endswith(STATE)
+    time.sleep(0.3)
+    board.handle(b"\x18") if reset == "soft" else board.power_cycle()
+    assert b" F0 " in board.handle(b"$G\n")
+
+
+def test_a_reset_that_nobody_heard_of_is_seen_by_the_missing_mark(board, robot):
+    board.power_cycle()
+    assert not robot.read().place_known
+    assert robot.gate.state == "stopped" and "lost its mark" in robot.gate.reason
+    robot.acknowledge()
+    assert not robot.arm()
+    robot.confirm_place()
+    assert robot.arm() and robot.read().place_known
+
+
+def test_what_a_reset_board_can_count_is_what_it_was_sent_since_the_mark_was_seen():
+    resets = ResetWatch(0.01)
+    assert resets.may_count_anew(np.zeros(3)) and not resets.may_count_anew(np.array([0, 0, 0.1]))
+    resets.sent(np.array([0, -0.2, 0.5]))
+    resets.sent(np.array([0, 0.1, 0.5]))
+    assert resets.may_count_anew(np.array([0, -0.2, 1.0])) and resets.may_count_anew(np.array([0, 0.1, 0.3]))
+    assert not resets.may_count_anew(np.array([0, 0, 1.1])) and not resets.may_count_anew(np.array([0.1, 0, 0.5]))
+    resets.proved()
+    assert not resets.may_count_anew(np.array([0, -0.2, 1.0]))
+
+
+def test_a_board_that_does_not_tell_its_state_is_warned_of_and_used(caplog):
+    silent = [(b"F1234\n", b"ok\r\n"), (b"$G\n", b"ok\r\n"), (b"?", IDLE), (b"?", IDLE), (b"\x85", b"")]
+    with dialogue([*CONNECT[:3], *silent]) as (path, _, _), GrblRobot(path) as robot:
+        assert robot.read().place_known
+    assert "a reset may go unseen" in caplog.text

@@ -41,12 +41,13 @@ class GrblBoard:
     Attributes:
         settings: the ``$`` settings by number.
         spindle: speed word S of the LED, 0 when off.
+        feed: the parser's feed rate F, which jogs leave alone and every reset puts to 0.
         answering: False makes it deaf and dumb, as a hung board is.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.settings: dict[int, float] = dict(SETTINGS)
-        self.spindle = 0
+        self.spindle, self.feed = 0, 0.0
         self.answering = True
         self._lock = threading.RLock()
         self._clock, self._now = clock, clock()
@@ -80,9 +81,8 @@ class GrblBoard:
         """Lose power and come back: everything but the place of the motors is forgotten."""
         with self._lock:
             self.advance()
-            self._blocks.clear()
-            self._waiting.clear()
-            self._position, self._speed, self._state, self.spindle = np.zeros(3), 0.0, "Idle", 0
+            self._begin_anew()
+            self._position, self._state = np.zeros(3), "Idle"
             return BANNER
 
     def handle(self, data: bytes) -> bytes:
@@ -158,11 +158,16 @@ class GrblBoard:
     def _reset(self) -> bytes:
         alarm = b"ALARM:3\r\n" if self._blocks else b""
         locked = bool(alarm) or self._state == "Alarm"
+        self._begin_anew()
+        self._state = "Alarm" if locked else "Idle"
+        return alarm + BANNER + (b"[MSG:'$H'|'$X' to unlock]\r\n" if locked else b"")
+
+    def _begin_anew(self) -> None:
+        """What a soft reset and a power-on have in common: buffers, parser and outputs as they are at first."""
         self._blocks.clear()
         self._waiting.clear()
         self._line.clear()
-        self._state, self.spindle, self._cancelling, self._speed = "Alarm" if locked else "Idle", 0, False, 0.0
-        return alarm + BANNER + (b"[MSG:'$H'|'$X' to unlock]\r\n" if locked else b"")
+        self.spindle, self.feed, self._cancelling, self._speed, self._reports = 0, 0.0, False, 0.0, 0
 
     def _report(self) -> bytes:
         position = ",".join(f"{v:.3f}" for v in self._position)
@@ -185,16 +190,22 @@ class GrblBoard:
             return self._jog(line[3:])
         if line == "$$":
             return b"".join(f"${n}={v:g}\r\n".encode() for n, v in self.settings.items()) + b"ok\r\n"
+        if line == "$G":
+            spindle = "M3" if self.spindle else "M5"
+            return f"[GC:G0 G54 G17 G21 G90 G94 {spindle} M9 T0 F{self.feed:g} S{self.spindle}]\r\nok\r\n".encode()
         if line == "$X":
             message = b"[MSG:Caution: Unlocked]\r\n" if self._state == "Alarm" else b""
             self._state = "Idle" if self._state == "Alarm" else self._state
             return message + b"ok\r\n"
         if line.startswith("$"):
             return b"error:3\r\n"
-        return b"error:9\r\n" if self._state != "Idle" else self._spindle(line)
+        return b"error:9\r\n" if self._state != "Idle" else self._block(line)
 
-    def _spindle(self, line: str) -> bytes:
-        if line == "M5":
+    def _block(self, line: str) -> bytes:
+        """A G-code block: the spindle's commands and a feed rate."""
+        if line.startswith("F") and line[1:].isdigit():
+            self.feed = float(line[1:])
+        elif line == "M5":
             self.spindle = 0
         elif line.startswith("M3S") and line[3:].isdigit():
             self.spindle = min(int(line[3:]), int(self.settings[30]))

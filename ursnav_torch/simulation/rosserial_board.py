@@ -74,11 +74,16 @@ class RosserialBoard:
             return self._steps.copy()
 
     def restart(self) -> bytes:
-        """Start anew, as after a brown-out: announces its topics without being asked."""
+        """Start anew, as after a brown-out; the text that it prints.
+
+        It obeys orders at once, but publishes nothing until a host asks for its topics, as rosserial_arduino's node
+        handle does (``publish`` returns at once where it is not ``configured_``, and a reset forgets that).
+        """
         with self._lock:
             self.advance()
-            self._steps, self._velocity = np.zeros(3), np.zeros(3)
-            return b"booting\r\n" + self._announce()
+            self._steps, self._velocity, self._announced, self.light = np.zeros(3), np.zeros(3), False, 0.0
+            self._decoder = Decoder()
+            return b"booting\r\n"
 
     def handle(self, data: bytes) -> bytes:
         """Bytes from the host in, the board's answer out."""

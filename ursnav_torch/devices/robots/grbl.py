@@ -2,9 +2,11 @@
 
 Motion is sent as relative jogs (``$J=``) that keep the board busy for ``horizon_s`` at most. GRBL has no
 watchdog of its own, so this is what bounds the motion after the host has died. The bytes follow GRBL's own
-interface and jogging documents (github.com/gnea/grbl, doc/markdown).
+interface and jogging documents (github.com/gnea/grbl, doc/markdown). How a reset is seen that nobody heard of:
+`reset_watch`.
 """
 
+import logging
 import math
 import re
 import time
@@ -13,6 +15,8 @@ import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints
 from ursnav_torch.devices.robots.kinematics import Drive
+from ursnav_torch.devices.robots.recent_orders import QueuedJogs
+from ursnav_torch.devices.robots.reset_watch import ASK_STATE, MARK, ResetWatch, is_mark
 from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
 from ursnav_torch.devices.robots.safety import STOPPED, Limits
 from ursnav_torch.devices.serial_link import SerialLink
@@ -49,6 +53,8 @@ JOGGING, FLUIDNC = ("1.1", "1.2"), "[FluidNC"
 #: GRBL reports thousandths of a mm and rounds to its own steps.
 ROUNDING_MM = 0.005
 
+logger = logging.getLogger(__name__)
+
 
 class GrblRobot(Robot):
     """The robot on a GRBL board; straight and withdrawn when it is connected: that is where joints are zero.
@@ -81,6 +87,7 @@ class GrblRobot(Robot):
         self._link: SerialLink | None = None
         self._settings: dict[int, float] = {}
         self._offset_mm = np.zeros(3)
+        self._resets, self._queued = ResetWatch(ROUNDING_MM), QueuedJogs()
         self._axes_mm: Array | None = None  # where all that was sent will end; None: ask the board first
         self._reported_s = -math.inf  # when the board last said where it stands
         self._reset_s = -math.inf  # when the board was last reset by hand
@@ -107,10 +114,13 @@ class GrblRobot(Robot):
         self._settings = self._read_settings()
         self._check_settings()
         state, axes = self._status(self.deadline_s)
-        self._offset_mm, self._axes_mm = axes, np.zeros(3)
-        self.place.set(self._axes_mm)
         if state == "Alarm":
             self.gate.emergency_stop("the controller woke up in alarm")
+        else:
+            self._mark()
+            axes = self._status(self.deadline_s)[1]
+        self._offset_mm, self._axes_mm = axes, np.zeros(3)
+        self.place.set(self._axes_mm)
 
     def _close(self) -> None:
         self._dismiss_guardian()
@@ -151,15 +161,32 @@ class GrblRobot(Robot):
         if not step.any() or feed <= 0:
             return JointRates()
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
+        self._prove_before(step)
         axes = self._axes_mm
-        end = (self.place.axes if axes is None else axes) + step
+        ahead = self.place.axes if axes is None else axes
+        if self._may_pass_a_limit(step, ahead, self._queued.unmade(now)):
+            return JointRates()
+        end = ahead + step
         self.place.sent(end)
+        self._resets.sent(step)
+        self._queued.add(max(now, self._busy_until_s) + duration + ramp, step)
         self._ask(f"$J=G21G91{words}F{feed:.2f}")
         self._axes_mm = None if self._axes_mm is None else end
         self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
         joints = self.drive.joints(step / duration)
         self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
         return self._rates
+
+    def _prove_before(self, step: Array) -> None:
+        """Ask the board before a jog (3,) against what was sent since: a reset would have dropped that, unseen.
+
+        Raises:
+            DeviceProtocolError: it was reset.
+        """
+        if self._resets.is_opposed(step):
+            self._read_axes(self.deadline_s)
+            if not self.place.is_known:
+                raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
 
     def _ramp_s(self, before: Array, after: Array) -> float:
         """Time that the board needs to change velocity, (3,) mm/s each; corners are taken through a standstill."""
@@ -186,30 +213,52 @@ class GrblRobot(Robot):
             self._link = SerialLink(self.port, 115200)
             self._reset()
             self.place.lose("the board was unplugged")
-        state, axes = self._status(self.deadline_s)
+        state, counts = self._status(self.deadline_s)
+        self._doubt(counts)
         if state == "Alarm":
             self._ask("$X")
-            state, axes = self._status(self.deadline_s)
-        at = axes - self._offset_mm
-        if not axes.any() and (at != self.place.axes).any():  # zero is also what a board counts after a power cut
-            self.place.lose("the controller counts from zero; it was reset")
+        self._mark()
+        counts = self._status(self.deadline_s)[1]
+        self._doubt(counts)  # it may have been reset before it was marked
+        at = counts - self._offset_mm
         self._axes_mm = at if self.place.report(at, at) else None
         if self._level:
             self._ask(f"M3S{round(self._level * self._settings[30])}")
 
     def _recount(self, axes: Array) -> None:
+        if self.gate.state != STOPPED:  # else it is done when the stop is acknowledged
+            self._come_to_rest()
+            self._mark()
         self._offset_mm = self._status(self.deadline_s)[1] - axes
         self._axes_mm = axes
+
+    def _mark(self) -> None:
+        """Set the mark that a reset wipes, see `reset_watch`; the board must stand still and be unlocked."""
+        self._ask(MARK)
+        seen = any(is_mark(line) for line in self._ask(ASK_STATE))
+        if not seen:
+            logger.warning("%s: the board does not tell its feed rate ($G); a reset may go unseen.", self.port)
+        self._resets.set(seen)
+
+    def _doubt(self, counts: Array) -> None:
+        """While stopped and without a mark: lose the place where counts (3,) may be those of a board that was reset."""
+        if self._resets.may_count_anew(counts) and not self.place.is_certainly(counts - self._offset_mm):
+            self.place.lose("the controller may count from zero again; it may have been reset")
+        else:
+            self._resets.proved()
 
     def _read_axes(self, timeout_s: float) -> bool:
         state, axes = self._status(timeout_s)
         if state == "Alarm" and self.gate.state != STOPPED:
             raise DeviceProtocolError(f"{self.port}: GRBL is in alarm; look for the cause, then acknowledge.")
-        at, moving, ends = axes - self._offset_mm, state != "Idle", self._axes_mm
+        if self._resets.wiped:
+            self._doubt(axes)
+        at, moving, ends = axes - self._offset_mm, state not in ("Idle", "Alarm"), self._axes_mm
         if moving and ends is None:
             self.place.check(at)
-        else:
-            self.place.report(at, ends if moving and ends is not None else at)
+        elif self.place.report(at, at) and moving:
+            for way in self._queued.unmade(time.monotonic()):
+                self.place.sent(at + way)
         return moving
 
     def _settle(self) -> Array:
@@ -292,11 +341,8 @@ class GrblRobot(Robot):
                 raise InputError(f"GRBL is set to {what} (${n}={self._settings[n]:g}); set ${n}=0.")
 
     def _status(self, timeout_s: float) -> tuple[str, Array]:
-        """Machine state and machine position (3,) in mm."""
-        self._write(STATUS)
-        deadline = time.monotonic() + timeout_s
-        while not (line := self._checked_line(deadline)).startswith("<"):
-            pass
+        """Machine state and machine position (3,) in mm; where the board has lost its mark, the place is lost."""
+        line = self._report(timeout_s)
         found = REPORT.fullmatch(line)
         words = found[2].split(",") if found else []
         if not found or len(words) < 3:
@@ -305,14 +351,32 @@ class GrblRobot(Robot):
         what = f"{self.port}: a position in {line!r}"
         return found[1], np.array([device_number(word, what, -FARTHEST_MM, FARTHEST_MM) for word in words[:3]])
 
-    def _ask(self, command: str) -> None:
-        """Send a line and wait for its ``ok``."""
+    def _report(self, timeout_s: float) -> str:
+        """The line of a status report; a board that bears a mark is asked for it, too, and must tell it thereafter."""
+        ends, marked = not self._resets.marked, None
+        self._write(STATUS + (b"" if ends else f"{ASK_STATE}\n".encode()))
+        deadline, report = time.monotonic() + timeout_s, ""
+        while not report or not (ends or self._resets.wiped):  # another thread may reset the board meanwhile
+            line = self._checked_line(deadline)
+            report = line if line.startswith("<") else report
+            marked = is_mark(line) if marked is None else marked
+            ends = ends or (line == "ok" and marked is not None)
+        if marked and self._resets.marked:
+            self._resets.proved()
+        elif self._resets.marked:
+            self._resets.set(False)
+            self.place.lose("the controller has lost its mark; it was reset")
+        return report
+
+    def _ask(self, command: str) -> list[str]:
+        """Send a line and wait for its ``ok``; the news that came before it."""
         self._write(command.encode("ascii") + b"\n")
-        deadline = time.monotonic() + self.deadline_s
+        deadline, news = time.monotonic() + self.deadline_s, list[str]()
         while True:
             line = self._checked_line(deadline)
             if line == "ok":
-                return
+                return news
+            news.append(line)
             if not line.startswith(("[", "<", ">")):  # news, reports and start-up lines are no answers
                 raise DeviceProtocolError(f"{self.port} answered {line!r} to {command!r}; expected 'ok'.")
 
@@ -344,6 +408,7 @@ class GrblRobot(Robot):
                 return text
 
     def _write_reset(self) -> None:
+        self._resets.wipe()
         self._reset_s = time.monotonic()
         self._write(SOFT_RESET)
 

@@ -64,6 +64,11 @@ class Place:
         inside = (axes >= self._low - self._tolerance) & (axes <= self._high + self._tolerance)
         return bool(inside.all())
 
+    def is_certainly(self, axes: Array) -> bool:
+        """Whether the axes can stand nowhere but at (3,)."""
+        near = np.maximum(np.abs(self._low - axes), np.abs(self._high - axes)) <= self._tolerance
+        return bool(near.all())
+
     def lose(self, why: str) -> None:
         """The controller's counts mean nothing any more; the first reason stays."""
         self.why_lost = self.why_lost or why

@@ -2,6 +2,11 @@
 
 Each message orders steps *and* the milliseconds to make them in and replaces the one before. It never ends later than
 0.15 s after the boards' newest report, so that the robot stands still when host or board falls silent.
+
+A board that was reset counts from zero, and is seen by its silence: rosserial_arduino publishes nothing until a host
+asks for its topics (``NodeHandle_::publish`` returns at once where it is not ``configured_``, which a reset forgets;
+rosserial_arduino/src/ros_lib of github.com/ros-drivers/rosserial). We ask only where ports are opened, and the place is
+lost there; a board that announces its topics unasked loses it, too.
 """
 
 import time
@@ -10,6 +15,7 @@ import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints, Lamp, LightSample
 from ursnav_torch.devices.robots.kinematics import Drive
+from ursnav_torch.devices.robots.recent_orders import RecentOrders
 from ursnav_torch.devices.robots.robot import BLIND_S, Robot
 from ursnav_torch.devices.robots.rosserial_packets import (
     INT32S,
@@ -81,7 +87,8 @@ class RosserialRobot(Robot):
         self._at, self._at_s = np.zeros(3), 0.0  # where the motors are reckoned to be, and when
         self._velocity = np.zeros(3)  # steps/s of the order under way
         self._turned_s = np.zeros(3)  # since when each motor has turned this way
-        self._ends, self._ends_s = np.zeros(3), 0.0  # where and when it ends
+        self._ends_s = 0.0  # when it ends
+        self._orders = RecentOrders()
 
     def set_light(self, level: float) -> float:
         """Dim the LED on the bending board."""
@@ -153,10 +160,14 @@ class RosserialRobot(Robot):
         steps = np.trunc(axes * self.drive.steps_per_mm * seconds).astype(int)
         if seconds <= 0 or not steps.any():
             return JointRates()
+        if self._may_pass_a_limit(steps, self._reckon(), self._orders.unseen(time.monotonic())):
+            return JointRates()
         self._turned_s = np.where(np.sign(steps) == np.sign(self._velocity), self._turned_s, time.monotonic())
-        self._ends, self._velocity = self._reckon() + steps, steps / seconds
+        ends, self._velocity = self._reckon() + steps, steps / seconds
         self._ends_s = self._at_s + seconds
-        self.place.sent(self._ends)
+        self._orders.add(self._at_s, self._velocity)
+        self.place.sent(ends)
+        self._widen()
         milliseconds = round(1000 * seconds)
         boards = self._boards()
         boards[0].publish(BEND, pack_ints([*steps[:2].tolist(), milliseconds]))
@@ -240,14 +251,18 @@ class RosserialRobot(Robot):
         at, reckoned = self._counts + self._offset, self._reckon()
         resting = now > self._ends_s + BLIND_S and not any(self._moving)  # a report may be older than an order's end
         if resting:
-            self.place.report(at, at)
-        elif now < self._ends_s and self.place.report(at, self._ends):
-            self.place.sent(reckoned)
-        else:
-            self.place.check(at)
+            self._orders.clear()
+        if self.place.report(at, at):
+            self._widen()
         spread = 0.0 if resting else self._unreported
         ahead = np.where(now - self._turned_s > BLIND_S, np.sign(self._velocity), 0.0)  # who goes on is past the report
         self._at = np.clip(reckoned, at - np.where(ahead > 0, 0.0, spread), at + np.where(ahead < 0, 0.0, spread))
+
+    def _widen(self) -> None:
+        """The motors may be anywhere that the orders of late can have taken them since the newest report."""
+        at = self._counts + self._offset
+        for way in self._orders.unseen(time.monotonic()):
+            self.place.sent(at + way)
 
     def _take(self, name: str, payload: bytes) -> None:
         values = unpack_ints(payload)
