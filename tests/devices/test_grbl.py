@@ -23,7 +23,8 @@ ASK = b"?$G\n"
 CONNECT = [(b"\x18", BANNER), (b"$$\n", SETTINGS_TEXT), (b"?", IDLE), *MARK, (ASK, IDLE + STATE)]
 FORWARD = JointRates(insertion_mm_s=4.0)
 #: 4 mm/s for the horizon of 0.12 s less the ramp of 8 ms.
-JOG = b"$J=G21G91Z0.44800F240.00\n"
+JOG = b"$J=G21G91Z0.44800F240.00\n$G\n"
+JOGS = b"ok\r\n" + STATE
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +56,7 @@ def drive(robot, rates, seconds):
 
 
 def test_connect_drive_stop_and_disconnect_say_exactly_these_bytes():
-    with dialogue([*CONNECT, (JOG, b"ok\r\n"), (b"\x85", b""), (b"\x85", b"")]) as (path, _, _):
+    with dialogue([*CONNECT, (JOG, JOGS), (b"\x85", b""), (b"\x85", b"")]) as (path, _, _):
         with GrblRobot(path) as robot:
             robot.arm()
             assert robot.command(FORWARD, True).sent.insertion_mm_s == pytest.approx(4.0)
@@ -65,8 +66,8 @@ def test_connect_drive_stop_and_disconnect_say_exactly_these_bytes():
 
 def test_bend_goes_out_as_cable_pulls():
     bend = JointRates(bend_x_rad_s=0.3, bend_y_rad_s=-0.2)  # 2 mm from the axis: 0.6 and -0.4 mm/s for 118.6 ms
-    jog = b"$J=G21G91X0.07113Y-0.04742F43.26\n"
-    with dialogue([*CONNECT, (jog, b"ok\r\n"), (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
+    jog = b"$J=G21G91X0.07113Y-0.04742F43.26\n$G\n"
+    with dialogue([*CONNECT, (jog, JOGS), (b"\x85", b"")]) as (path, _, _), GrblRobot(path) as robot:
         robot.arm()
         sent = robot.command(bend, True).sent
         assert sent.bend_x_rad_s == pytest.approx(0.3, rel=1e-3)
@@ -85,7 +86,7 @@ def test_stop_and_acknowledgment_unlock_the_board():
     locked = IDLE.replace(b"Idle", b"Alarm")
     unlock = [(b"\x18", BANNER), (b"?", locked), (b"$X\n", b"[MSG:Caution: Unlocked]\r\nok\r\n"), *MARK]
     unlock += [(ASK, IDLE + STATE)]
-    with dialogue([*CONNECT, (JOG, b"ok\r\n"), (b"\x18", alarm), *unlock, (b"\x85", b"")]) as (path, _, _):
+    with dialogue([*CONNECT, (JOG, JOGS), (b"\x18", alarm), *unlock, (b"\x85", b"")]) as (path, _, _):
         with GrblRobot(path) as robot:
             robot.arm()
             robot.command(FORWARD, True)

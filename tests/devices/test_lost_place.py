@@ -237,7 +237,7 @@ def test_a_board_that_dropped_jogs_is_not_sent_past_a_limit():
 
 
 def test_what_goes_against_motion_under_way_waits_near_a_limit():
-    """At 1 mm by the newest report, 1 mm further by what was sent since: had a reset dropped that, 1.5 mm back is out."""
+    """At 1 mm by the newest report, 1 mm further by what was sent since: had that been dropped, 1.5 mm back is out."""
     robot = RosserialRobot(["nowhere"], limits=LIMITS)
     mm = robot._axes_of(Joints(insertion_mm=1.0))
     robot.place.set(mm)

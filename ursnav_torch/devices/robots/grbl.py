@@ -161,7 +161,6 @@ class GrblRobot(Robot):
         if not step.any() or feed <= 0:
             return JointRates()
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
-        self._prove_before(step)
         axes = self._axes_mm
         ahead = self.place.axes if axes is None else axes
         if self._may_pass_a_limit(step, ahead, self._queued.unmade(now)):
@@ -170,23 +169,25 @@ class GrblRobot(Robot):
         self.place.sent(end)
         self._resets.sent(step)
         self._queued.add(max(now, self._busy_until_s) + duration + ramp, step)
-        self._ask(f"$J=G21G91{words}F{feed:.2f}")
+        self._jog(f"$J=G21G91{words}F{feed:.2f}")
         self._axes_mm = None if self._axes_mm is None else end
         self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
         joints = self.drive.joints(step / duration)
         self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
         return self._rates
 
-    def _prove_before(self, step: Array) -> None:
-        """Ask the board before a jog (3,) against what was sent since: a reset would have dropped that, unseen.
+    def _jog(self, line: str) -> None:
+        """Send a jog, and ask for the mark thereafter.
 
         Raises:
-            DeviceProtocolError: it was reset.
+            DeviceProtocolError: it was refused, or the board was reset before.
         """
-        if self._resets.is_opposed(step):
-            self._read_axes(self.deadline_s)
-            if not self.place.is_known:
-                raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
+        if not self._resets.marked:
+            self._ask(line)
+            return
+        self._heed(any(is_mark(news) for news in self._ask(f"{line}\n{ASK_STATE}", answers=2)))
+        if not self.place.is_known:
+            raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
 
     def _ramp_s(self, before: Array, after: Array) -> float:
         """Time that the board needs to change velocity, (3,) mm/s each; corners are taken through a standstill."""
@@ -361,24 +362,30 @@ class GrblRobot(Robot):
             report = line if line.startswith("<") else report
             marked = is_mark(line) if marked is None else marked
             ends = ends or (line == "ok" and marked is not None)
-        if marked and self._resets.marked:
+        self._heed(bool(marked))
+        return report
+
+    def _heed(self, marked: bool) -> None:
+        """The board has told whether it still bears its mark, unless we have wiped it meanwhile."""
+        if self._resets.marked and marked:
             self._resets.proved()
         elif self._resets.marked:
             self._resets.set(False)
             self.place.lose("the controller has lost its mark; it was reset")
-        return report
 
-    def _ask(self, command: str) -> list[str]:
-        """Send a line and wait for its ``ok``; the news that came before it."""
+    def _ask(self, command: str, answers: int = 1) -> list[str]:
+        """Send lines and wait for an ``ok`` to each; the news that came before."""
         self._write(command.encode("ascii") + b"\n")
         deadline, news = time.monotonic() + self.deadline_s, list[str]()
-        while True:
+        while answers:
             line = self._checked_line(deadline)
             if line == "ok":
-                return news
-            news.append(line)
-            if not line.startswith(("[", "<", ">")):  # news, reports and start-up lines are no answers
+                answers -= 1
+            elif line.startswith(("[", "<", ">")):  # news, reports and start-up lines are no answers
+                news.append(line)
+            else:
                 raise DeviceProtocolError(f"{self.port} answered {line!r} to {command!r}; expected 'ok'.")
+        return news
 
     def _checked_line(self, deadline: float) -> str:
         """The next line, unless it is an error, an alarm or a greeting that nobody asked for."""

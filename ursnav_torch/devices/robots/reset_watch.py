@@ -50,14 +50,6 @@ class ResetWatch:
         """A jog by (3,) mm is about to be sent."""
         self._back, self._forth = self._back + np.minimum(step, 0.0), self._forth + np.maximum(step, 0.0)
 
-    def is_opposed(self, step: Array) -> bool:
-        """Whether a jog by (3,) mm goes against one that was sent since the last proof, on any axis.
-
-        Jogs are relative, so a board that has dropped some stays behind the place that we reckon with; it gets beyond,
-        and past a limit, where it goes back the way that it has never gone.
-        """
-        return bool(((step > 0) & (self._back < 0) | (step < 0) & (self._forth > 0)).any())
-
     def proved(self) -> None:
         """Nothing that was sent so far can be counted by a board that is reset from now on."""
         self._back, self._forth = np.zeros(3), np.zeros(3)
