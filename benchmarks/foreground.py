@@ -3,6 +3,10 @@
 Every folder ``KIDNEY/STYLE`` that holds ``foreground.csv`` beside ``truth.csv`` counts, and of its stones those that
 cover at least ``least=0.01`` of the picture. Further arguments, each ``key=value``: ``out=FILE.json``,
 ``pictures=DIR`` (writes every picture with what was found: stones blue, instruments green, truth as a white circle).
+
+Tried before and left, on 416 simulated pictures of three phantoms (317 right without): what is far bluer than the rest
+of the picture taken for an instrument, too, finds a twentieth more of the instruments and leaves 315 right; bodies
+filled in from their surroundings before the relief is taken, so that they have no rim, 313.
 """
 
 import sys
