@@ -10,15 +10,16 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue
 
-from ursnav_torch._help import help_text
+from ursnav_torch._help import help_text, misspelled
 from ursnav_torch.disk import disk_sentence
 from ursnav_torch.errors import UrsnavError
 
@@ -74,12 +75,20 @@ def runner(
                 hydra_main()
             except SystemExit as exit_:
                 if not started and exit_.code not in (None, 0):
+                    _tell_misspelled(config_name)
                     sys.exit(WRONG_USAGE)
                 raise
 
         return main
 
     return decorate
+
+
+def _tell_misspelled(config_name: str) -> None:
+    """After Hydra's own message, what may have been meant; where a choice is wrong, Hydra has said it all."""
+    with suppress(HydraException):
+        for sentence in misspelled(Path(config_dir()) / f"{config_name}.yaml", sys.argv[1:]):
+            print(f"error: {sentence}", file=sys.stderr)
 
 
 def quote_path(argument: str, keys: set[str]) -> str:

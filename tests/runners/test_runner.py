@@ -157,3 +157,21 @@ def test_a_word_alone_sets_what_it_names_and_no_other_word_is_taken(run, monkeyp
     monkeypatch.setattr("ursnav_torch.demo._live", lambda config, out: told.append((config.live, out.name)))
     assert run("demo", "live", "out=my flight").code == 0 and told == [(True, "my flight")]
     assert run("demo", "lively").code == 2 and len(told) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("image=pictures", "'image' is no setting of match; near it: images"),
+        ("search.learned=0.1", "'search.learned' is no setting of match"),
+        ("locaization.risk=0.1", "'locaization.risk' is no setting of match; near it: localization.risk"),
+    ],
+)
+def test_a_setting_that_is_none_is_named_with_what_is_near_it(run, given: str, meant: str) -> None:
+    finished = run("match", given, "matching=hungarian")
+    assert finished.code == 2 and meant in finished.err and "`ursnav match --cfg job` shows them all" in finished.err
+
+
+def test_a_choice_that_is_none_is_told_by_hydra_alone(run) -> None:
+    finished = run("match", "matching=sinkhron")
+    assert finished.code == 2 and "sinkhorn" in finished.err and "error:" not in finished.err
