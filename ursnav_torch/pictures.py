@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.picture_ends import pictures_within
 
 #: The finest scopes give 8 megapixels, a photo of a calibration board 12 to 24.
 MOST_PIXELS = 40_000_000
@@ -66,7 +67,8 @@ def _declared(encoded: bytes) -> tuple[int | None, int]:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         try:
             with Image.open(io.BytesIO(encoded), formats=_FORMATS) as picture:
-                pages = int(getattr(picture, "n_frames", 1)) if picture.format == "TIFF" else 1
+                tiff = picture.format == "TIFF"
+                pages = int(getattr(picture, "n_frames", 1)) if tiff else pictures_within(encoded)
                 return int(picture.width * picture.height), pages
         except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
             return int("".join(re.findall(r"\((\d+) pixels\)", str(error)))[:18]), 1

@@ -203,6 +203,7 @@ def test_the_given_lenses_that_fold(cases: Path) -> None:
         (ROS, {"model": "plumb_bob", "k": [-0.9, 0, 0, 0], "n": 4}, "not defined over its whole picture"),
         (ROS, {"model": "thin_prism", "k": [0.1], "n": 1}, "'thin_prism' in .* is not understood"),
         (ROS + "binning_x: 2\n", {"model": "plumb_bob", "k": [], "n": 0}, "has a roi or binning"),
+        (ROS + "roi:\n  width: 80\n", {"model": "plumb_bob", "k": [], "n": 0}, "has a roi or binning"),
         (ROS, {"model": "plumb_bob", "k": ["a"], "n": 1}, "distortion_coefficients is .*expected some numbers"),
         (ROS, {"W": "wide", "model": "plumb_bob", "k": [], "n": 0}, "width and height"),
         (
@@ -339,6 +340,21 @@ def test_a_field_of_view_in_radians_is_told(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(json.dumps(Camera("equidistant", W, H, *F).to_dict() | {"fov_deg": 2.79}))
     with pytest.raises(InputError, match=r"fov_deg=2\.79: it is the full angle in degrees"):
         load_camera(tmp_path / "c.json")
+
+
+def test_a_circle_that_has_nothing_to_do_with_its_picture_is_said(tmp_path: Path) -> None:
+    for f, fov_deg in ((179.0, 160.0), (89.5, 40.0)):
+        lens = Camera("equidistant", 250, 250, f, f, 124.5, 124.5).to_dict() | {"fov_deg": fov_deg}
+        (tmp_path / "c.json").write_text(json.dumps(lens))
+        with pytest.warns(UserWarning, match=r"a circle \d+ px wide in its picture of 250 x 250 px"):
+            load_camera(tmp_path / "c.json")
+
+
+def test_a_double_sphere_with_its_numbers_exchanged_is_refused(tmp_path: Path) -> None:
+    text = "cam0: {camera_model: ds, intrinsics: [0.55, -0.2, 350, 350, 320, 240], resolution: [640, 480]}\n"
+    (tmp_path / "c.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"got 0\.55 and -0\.2; are they exchanged\?"):
+        load_camera(tmp_path / "c.yaml")
 
 
 def test_a_file_of_two_cameras_is_not_one(tmp_path: Path) -> None:

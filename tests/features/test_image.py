@@ -43,8 +43,35 @@ def test_a_picture_cut_short_is_never_filled_in(tmp_path: Path, suffix: str) -> 
         path.write_bytes(whole[:size])
         with pytest.raises(InputError, match=rf"x\.{suffix} is cut short \({size} bytes"):
             read_image(path)
-    path.write_bytes(whole + b"trailing")
-    np.testing.assert_array_equal(read_image(path).shape, COLOR.shape)
+    for more in (b"trailing", b"x" * 1000, b"\0\0\0\x18ftypmp42" + bytes(5000)):  # as phones append a video
+        path.write_bytes(whole + more)
+        assert read_image(path).shape == COLOR.shape
+    path.write_bytes(whole[: len(whole) // 2] + bytes(len(whole) // 2))
+    with pytest.raises(InputError, match="cut short"):
+        read_image(path)
+
+
+def test_the_end_of_a_thumbnail_is_not_the_pictures(tmp_path: Path) -> None:
+    whole = cv2.imencode(".jpg", COLOR)[1].tobytes()
+    inner = b"\xff\xd8\xff\xd9"
+    held = whole[:2] + b"\xff\xe1" + (len(inner) + 2).to_bytes(2) + inner + whole[2:]
+    (tmp_path / "x.jpg").write_bytes(held)
+    assert read_image(tmp_path / "x.jpg").shape == COLOR.shape
+    (tmp_path / "x.jpg").write_bytes(held[:-200])
+    with pytest.raises(InputError, match="cut short"):
+        read_image(tmp_path / "x.jpg")
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("MPO", "jpg"), ("PNG", "png")])
+def test_several_pictures_in_a_jpeg_or_png_are_refused_with_their_number(
+    tmp_path: Path, kind: str, suffix: str
+) -> None:
+    from PIL import Image
+
+    first = Image.fromarray(COLOR)
+    first.save(tmp_path / f"x.{suffix}", kind, save_all=True, append_images=[first.rotate(180)])
+    with pytest.raises(InputError, match=rf"x\.{suffix} holds 2 pictures"):
+        read_image(tmp_path / f"x.{suffix}")
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,17 @@ def test_a_truncated_stl_says_how_many_triangles_it_lacks(files: Path, tmp_path:
         read_mesh(tmp_path / "half.stl")
 
 
+def test_an_ascii_stl_that_is_cut_short_or_has_decimal_commas_is_told(tmp_path: Path) -> None:
+    text = trimesh.creation.box((30, 30, 30)).export(file_type="stl_ascii")
+    path = tmp_path / "m.stl"
+    for wrong, reason in ((text[:-200], "cut short: the word endsolid"), (text.replace(".", ","), "decimal commas")):
+        path.write_text(wrong, encoding="utf-8")
+        with pytest.raises(InputError, match=reason):
+            read_mesh(path)
+    path.write_text(text, encoding="utf-8")
+    assert len(read_mesh(path).faces) == 12
+
+
 def test_the_given_stl_with_bytes_after_it(cases: Path) -> None:
     assert len(read_mesh(cases / "19-stl-bytes-after" / "lumen.stl").faces) == 28808
 

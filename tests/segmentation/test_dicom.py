@@ -1,6 +1,8 @@
 """DICOM as archives give it: compressed, enhanced, with reports beside the slices, and truly truncated."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,3 +109,42 @@ def test_given_series_of_public_complaints(cases: Path) -> None:
     control, rle = (read_scan(cases / "03-dicom-compressed" / name) for name in ("control", "rle"))
     np.testing.assert_array_equal(rle.voxels, control.voxels)
     np.testing.assert_array_equal(read_scan(cases / "04-dicom-report-beside" / "series").voxels, control.voxels)
+
+
+def changed(folder: Path, scan: Scan, change: Callable[[Any, int], object]) -> Path:
+    """The scan's series with every slice's tags changed, by the slice's number."""
+    write_dicom(scan, folder)
+    for number, path in enumerate(sorted(folder.iterdir())):
+        data = pydicom.dcmread(path)
+        change(data, number)
+        data.save_as(path)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("tag", "value", "reason"),
+    [
+        ("PixelSpacing", lambda n: [0.9, 0.9] if n == 7 else [0.8, 0.7], r"mixes pixel sizes: .*slice_0007\.dcm"),
+        ("PatientID", lambda n: "AB"[n > 7], r"mixes slices of 2 patients \('A', 'B'\)"),
+        ("FrameOfReferenceUID", lambda n: f"1.2.{3 + (n > 7)}", "mixes slices of 2 frames of reference"),
+        ("ImageOrientationPatient", lambda n: [2, 0, 0, 0, 2, 0], "not at right angles and of length 1"),
+        ("ImageOrientationPatient", lambda n: [1, 0, 0, 0.5, 0.866, 0], "not at right angles and of length 1"),
+        ("PhotometricInterpretation", lambda n: "MONOCHROME1", "shows high numbers dark"),
+    ],
+)
+def test_slices_that_are_not_of_one_scan_are_refused(
+    scan: Scan, tmp_path: Path, tag: str, value: Callable[[int], object], reason: str
+) -> None:
+    with pytest.raises(InputError, match=reason):
+        read_scan(changed(tmp_path, scan, lambda data, n: setattr(data, tag, value(n))))
+
+
+def test_what_a_series_leaves_open_is_said(scan: Scan, tmp_path: Path) -> None:
+    for name, change, reason in (
+        ("mr", lambda data, n: setattr(data, "Modality", "MR"), "is MR, not CT"),
+        ("raw", lambda data, n: data.pop("RescaleIntercept"), r"Hounsfield units \(RescaleIntercept\)"),
+        ("thin", lambda data, n: setattr(data, "SliceThickness", 0.6), "0.6 mm thick and 1.5 mm apart"),
+        ("cm", lambda data, n: setattr(data, "SliceThickness", 15), "15 mm thick and 1.5 mm apart"),
+    ):
+        with pytest.warns(UserWarning, match=reason):
+            read_scan(changed(tmp_path / name, scan, change))

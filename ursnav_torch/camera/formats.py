@@ -146,8 +146,11 @@ def _ros(data: Mapping[str, Any], path: Path) -> Camera:
     f = _intrinsics(_numbers(_entry(data["camera_matrix"]), "camera_matrix", path, 9), path)
     k = _numbers(_entry(data.get("distortion_coefficients", [])), "distortion_coefficients", path)
     roi = data.get("roi") or {}
-    if any(roi.get(c) for c in ("x_offset", "y_offset")) or any(
-        (data.get(c) or 0) > 1 for c in ("binning_x", "binning_y")
+    part = [roi.get(c) or full for c, full in zip(("width", "height"), size, strict=True)] != list(size)
+    if (
+        part
+        or any(roi.get(c) for c in ("x_offset", "y_offset"))
+        or any((data.get(c) or 0) > 1 for c in ("binning_x", "binning_y"))
     ):
         raise InputError(
             f"The camera file {path} has a roi or binning: give the whole sensor's calibration, and the cut by "
@@ -183,6 +186,11 @@ def _kalibr(data: Mapping[str, Any], path: Path, name: str | None) -> Camera:
         raise InputError(f"The lens in {path} is {model} with distortion {distortion}, which is not understood.")
     if model == "ds":
         xi, alpha, fx, fy, cx, cy = _numbers(values, "intrinsics", path, 6)
+        if not (0 <= alpha <= 1 and -1 < xi <= 1):
+            raise InputError(
+                f"The camera file {path}: a double sphere has xi between -1 and 1 and alpha between 0 and 1, got "
+                f"{xi:g} and {alpha:g}; are they exchanged? Kalibr writes xi, alpha, fx, fy, cx, cy."
+            )
         return _double_sphere(size, (fx, fy, cx, cy), xi, alpha)
     if model == "omni":
         xi, fx, fy, cx, cy = _numbers(values, "intrinsics", path, 5)

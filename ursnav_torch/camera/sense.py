@@ -15,6 +15,9 @@ _ASPECT = (0.5, 2.0)
 #: How far a principal point is off the middle, of the picture's side: more than most lenses are, and none any more
 #: (chosen by ``benchmarks.endocal.lens_sense``: 0.095 and 0.333).
 FAR_OFF, AT_THE_RIM = 0.095, 0.35
+#: An image circle is no narrower than this part of the picture's shorter side, and does not lie around all of the
+#: picture at so many times its farthest corner.
+_CIRCLE = 0.4, 1.2
 #: Pixels project back onto themselves within this, px.
 _ROUND_TRIP_PX = 0.01
 
@@ -75,6 +78,7 @@ def _check_field(lens: Camera, where: str) -> None:
     angle = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
     if lens.fov_deg is not None and lens.fov_deg < _FOV_DEG[0]:
         raise InputError(f"The lens in {where} has fov_deg={lens.fov_deg:g}: it is the full angle in degrees.")
+    _check_circle(lens, where)
     field = float(max(angle[0] + angle[1], angle[2] + angle[3]))
     low, high = _FLAT_FOV_DEG if lens.model in ("pinhole", "rational") else _FOV_DEG
     if not low <= field <= high:
@@ -82,6 +86,19 @@ def _check_field(lens: Camera, where: str) -> None:
             f"The lens in {where} sees {field:.3g} degrees across its picture of {lens.width} x {lens.height} px; "
             f"{low:g} to {high:g} are plausible for {lens.model}. Are fx={lens.fx:g} and fy={lens.fy:g} in px of this "
             "picture, or do they belong to another resolution or unit?"
+        )
+
+
+def _check_circle(lens: Camera, where: str) -> None:
+    """Say an image circle that has hardly to do with the picture: it lies around it, or is a spot in it."""
+    if lens.fov_deg is None or lens.model != "equidistant":
+        return
+    circle, shorter = lens.radius_px(min(math.radians(lens.fov_deg) / 2, lens.fold())), min(lens.width, lens.height)
+    if circle > _CIRCLE[1] * lens.farthest_px() or 2 * circle < _CIRCLE[0] * shorter:
+        warnings.warn(
+            f"The lens in {where} has fov_deg={lens.fov_deg:g}, a circle {2 * circle:.0f} px wide in its picture of "
+            f"{lens.width} x {lens.height} px: are fx and fy those of another resolution?",
+            stacklevel=5,
         )
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.inputs import read_regular
+from ursnav_torch.picture_ends import picture_end
 from ursnav_torch.pictures import MOST_BYTES, decode_picture
 
 #: File name endings that runners take for pictures.
@@ -33,7 +34,7 @@ def image_from_bytes(data: bytes, where: str) -> NDArray[np.uint8]:
     Raises:
         InputError: see `read_image`.
     """
-    if _cut_short(data):
+    if picture_end(data) is None:
         raise InputError(f"The image {where} is cut short ({len(data)} bytes, its end is missing); copy it again.")
     image = decode_picture(data, where)
     if image is None:
@@ -83,13 +84,3 @@ def _to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     top = float(x.max())
     x *= 255 / top if top > 1e-30 else 0
     return np.rint(x, out=x).astype(np.uint8)
-
-
-def _cut_short(data: bytes) -> bool:
-    """Whether a JPEG or PNG ends early; OpenCV would fill in the missing part without a word."""
-    head, tail = data[:8], data[-64:]
-    if head[:3] == b"\xff\xd8\xff":
-        return b"\xff\xd9" not in tail
-    if head == b"\x89PNG\r\n\x1a\n":
-        return b"IEND" not in tail
-    return False

@@ -80,7 +80,10 @@ def _check_size(mesh: trimesh.Trimesh, name: str, scale: float, advice: Mapping[
     )
     for factor, unit in ((1000, "meters"), (10, "centimeters")):
         if low <= diagonal * factor <= high:
-            raise InputError(f"{found}. The file seems to be in {unit}: {advice[unit]}, or export it in mm.")
+            raise InputError(
+                f"{found}. The file seems to be in {unit}: {advice[unit]}, or export it in mm, as is "
+                "needed where it is in inches."
+            )
     raise InputError(
         f"{found} at scale {scale:g}. Export the lumen in mm, or set kidney.scale to what brings it to anatomy."
     )

@@ -1,6 +1,7 @@
 """``kidney=mesh``: the collecting system from a surface file."""
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from ursnav_torch.kidney.tables import read_calyces
 _FORMATS = (".stl", ".ply", ".obj", ".glb")
 #: Bytes of a binary STL file before its triangles, and of each of them.
 _STL_HEAD, _STL_TRIANGLE = 84, 50
+_DECIMAL_COMMA = re.compile(rb"vertex\s+[+-]?\d+,\d")
 
 
 def load_mesh_kidney(
@@ -109,7 +111,21 @@ def _load(path: Path) -> trimesh.Trimesh:
                 f"{path} ends before its data do: its header counts {(length - _STL_HEAD) // _STL_TRIANGLE} triangles, "
                 f"and it holds {(len(data) - _STL_HEAD) // _STL_TRIANGLE}. Copy or export it again."
             )
+    if _is_text(data):
+        _check_text(data, path)
     return trimesh.load_scene(path, process=False).to_mesh()
+
+
+def _check_text(data: bytes, path: Path) -> None:
+    """Refuse an ASCII STL that ends early or has decimal commas, of which the reader would say neither.
+
+    Raises:
+        InputError: it does.
+    """
+    if b"endsolid" not in data[-4096:].lower():
+        raise InputError(f"{path} is cut short: the word endsolid is missing at its end. Copy or export it again.")
+    if _DECIMAL_COMMA.search(data[:4096]):
+        raise InputError(f"{path} has decimal commas; export it with decimal points, or as binary STL.")
 
 
 def _is_text(data: bytes) -> bool:

@@ -1,19 +1,15 @@
 """Which files of a folder are the slices of one DICOM series, whole and in order; reports beside them are no slices."""
 
 import warnings
-from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.extras import import_extra
-
-Array = NDArray[np.float64]
+from ursnav_torch.segmentation.scans.slices import check_alike, in_order, read_slice, say_doubts
 
 #: Item, and end of the sequence, of encapsulated pixels (DICOM PS3.5, annex A.4).
 _ITEM, _END = b"\xfe\xff\x00\xe0", b"\xfe\xff\xdd\xe0"
@@ -21,14 +17,6 @@ _UNKNOWN_LENGTH = 0xFFFFFFFF
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 #: A series of fewer slices is no scan.
 _FEWEST_SLICES = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Slice:
-    path: str
-    size: tuple[int, ...]
-    position: Array
-    orientation: Array
 
 
 def is_dicom(path: Path) -> bool:
@@ -52,9 +40,10 @@ def series_files(sitk: ModuleType, folder: Path, series: str | None, largest_vox
         return files
     if len(files) < _FEWEST_SLICES:
         raise InputError(f"The series in {folder} has {len(files)} slices; a scan has many. Copy the whole series.")
-    slices = [_read_slice(file) for file in files]
-    _check_alike(slices, folder)
-    slices = _in_order(slices, folder)
+    slices = [read_slice(file, read_tags(file)) for file in files]
+    check_alike(slices, folder)
+    slices = in_order(slices, folder)
+    say_doubts(slices, folder)
     voxels = int(np.prod(slices[0].size, dtype=object)) * len(slices)
     if voxels > largest_voxels:
         raise InputError(
@@ -179,60 +168,3 @@ def _listed(found: dict[str, tuple[str, ...]]) -> str:
         about = f"{tags.get('Modality', '')} {str(tags.get('SeriesDescription', '')).strip()!r}".strip()
         texts.append(f"{uid} ({about}, {_slices(files)} slices)")
     return "; ".join(texts)
-
-
-def _read_slice(file: str) -> _Slice:
-    tags = read_tags(file)
-    try:
-        position = np.array(tags.ImagePositionPatient, float).reshape(3)
-        orientation = np.array(tags.ImageOrientationPatient, float).reshape(2, 3)
-        spacing = np.array(tags.PixelSpacing, float).reshape(2)
-    except (AttributeError, TypeError, ValueError):
-        raise InputError(
-            f"{file} does not say where its slice lies or how large its pixels are (ImagePositionPatient, "
-            "ImageOrientationPatient, PixelSpacing); export the series again as CT slices."
-        ) from None
-    if not np.isfinite([*position, *orientation.ravel(), *spacing]).all() or spacing.min() <= 0:
-        raise InputError(f"{file} states numbers that cannot be for its place or pixel size; export the series again.")
-    return _Slice(file, (int(tags.get("Columns", 0)), int(tags.get("Rows", 0))), position, orientation)
-
-
-def _check_alike(slices: list[_Slice], folder: Path) -> None:
-    sizes = Counter(s.size for s in slices)
-    directions = Counter(tuple(np.round(s.orientation, 3).ravel().tolist()) for s in slices)
-    if len(sizes) > 1 or len(directions) > 1:
-        texts = ", ".join(f"{n} of {' x '.join(map(str, size[:2]))}" for size, n in sizes.most_common())
-        raise InputError(
-            f"{folder} mixes slices of {len(sizes)} sizes ({texts}) and {len(directions)} directions in one series, "
-            "perhaps with a localizer or a reconstruction. Leave only the axial slices there."
-        )
-
-
-def _in_order(slices: list[_Slice], folder: Path) -> list[_Slice]:
-    """Sorted along the normal, checked for gaps, doubles and tilt."""
-    along = np.cross(*slices[0].orientation)
-    slices = sorted(slices, key=lambda s: float(s.position @ along))
-    at = np.array([s.position for s in slices])
-    height = at @ along
-    steps = np.diff(height)
-    step = float(np.median(steps))
-    if step <= 0 or steps.min() < 0.1 * step:
-        raise InputError(
-            f"{folder} has {int(np.sum(steps < max(0.1 * step, 1e-3)))} pairs of slices at the same place: several "
-            "phases or reconstructions in one series. Leave only the slices of one there."
-        )
-    gaps = np.flatnonzero(np.abs(steps - step) > 0.05 * step + 0.02)
-    if len(gaps):
-        first = gaps[0]
-        missing = int(np.sum(np.maximum(np.rint(steps[gaps] / step) - 1, 0)))
-        raise InputError(
-            f"{folder} lacks slices: {missing or 'some'} missing, the first after {Path(slices[first].path).name} at "
-            f"{height[first]:.1f} mm, where the step is {steps[first]:.2f} mm in place of {step:.2f} mm. Copy the "
-            "whole series again."
-        )
-    aside = at - at[0] - np.outer(height - height[0], along)
-    if np.linalg.norm(aside, axis=1).max() > max(0.01 * (height[-1] - height[0]), 0.5):
-        raise InputError(
-            f"{folder} was scanned with a tilted gantry (its slices shift to the side); resample it to a straight grid."
-        )
-    return slices
