@@ -33,7 +33,7 @@ from ursnav_torch.kidney import Kidney, make_phantom_kidney, observed_calyx
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.runs.sources import open_source
-from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
@@ -41,7 +41,7 @@ from ursnav_torch.vid import PlanSettings, Vid
 
 SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "offline": True, "pictures": 0, "out": ""}
 Array = NDArray[np.float64]
-Follow = Callable[[Tracker, Source, Callable[[Moment], SensorReading | None]], Iterator[tuple[Moment, Tracked]]]
+Follow = Callable[[Tracker, Source, Instruments], Iterator[tuple[Moment, Tracked]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,8 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     readings = exploration.sensor
     source = Source(exploration.moments, len(T), exploration.name)
     start = time.perf_counter()
-    for _, last in follow(tracker, source, lambda m: readings[m.frame] if readings else None):
+    beside = Instruments((lambda m: readings[m.frame]) if readings else None)
+    for _, last in follow(tracker, source, beside):
         answers.append(last)
         if last.T_kidney_camera is not None and np.isfinite(last.score):
             coverage.add(last.T_kidney_camera, 0.1)

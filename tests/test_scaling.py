@@ -37,7 +37,7 @@ def test_every_length_and_no_other_number_follows_the_scale(settings: Any) -> No
     for name, value in before.items():
         expected = value
         if name.endswith(LENGTH_ENDINGS):
-            expected = 2.0 * value
+            expected = tuple(2.0 * v for v in value) if isinstance(value, tuple) else 2.0 * value
         assert after[name] == expected, name
 
 

@@ -15,6 +15,8 @@ MATCH_COLUMNS = (
 )
 #: What `track` writes.
 TRACK_COLUMNS = ("frame", "t_s", "calyx", *POSE_COLUMNS, "confidence", "state", "seconds", *SURE_COLUMNS)
+#: What a robot reports of its joints, slack and hysteresis included.
+ODOMETRY_COLUMNS = ("t_s", "insertion_mm", "bend_x_deg", "bend_y_deg")
 #: True poses of pictures.
 TRUTH_COLUMNS = ("image", "calyx", *POSE_COLUMNS)
 #: An EM sensor's position and axis in the EM frame; ``frame`` or ``image`` and ``t_s`` stand before them where known.

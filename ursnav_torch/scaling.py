@@ -27,6 +27,6 @@ def scaled(settings: Settings, scale: float) -> Settings:
         if is_dataclass(value) and not isinstance(value, type):
             value = scaled(value, scale)
         elif field.name.endswith(LENGTH_ENDINGS) and value is not None:
-            value = value * scale
+            value = tuple(v * scale for v in value) if isinstance(value, tuple) else value * scale
         object.__setattr__(larger, field.name, value)  # frozen, and only just copied
     return larger

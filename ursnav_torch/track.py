@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 #: Overrides that name files besides those that all runners share.
-PATHS = ("source", "em", "em_to_kidney", "tip", "truth")
+PATHS = ("source", "em", "em_to_kidney", "tip", "odometry", "truth")
 
 
 @runner("track", paths=PATHS)
@@ -17,6 +17,7 @@ def main(config: Any) -> int:
     from ursnav_torch.runs.lenses import stated_lens
     from ursnav_torch.runs.sources import open_source
     from ursnav_torch.runs.track import camera_source, put_back, track_results, track_source
+    from ursnav_torch.tracking.follow import Instruments
     from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
 
@@ -30,9 +31,12 @@ def main(config: Any) -> int:
         source = open_source(caller_path(config.source), config.fps)
     source = put_back(source, cut, tracker)
     sensor, readings = _em_readings(config, vid.kidney.mesh.bounds)
+    instruments = Instruments(sensor, _odometry(config))
     out, besides = caller_path(config.out), _besides(config)
     check_set(track_results(out, besides), config.overwrite)
-    summary, whole = track_source(tracker, source, out, sensor, config.overwrite, progress, config.offline, besides)
+    summary, whole = track_source(
+        tracker, source, out, instruments, config.overwrite, progress, config.offline, besides
+    )
     print(readings + summary)
     return OK if whole else NOT_DONE
 
@@ -59,6 +63,16 @@ def _em_readings(config: Any, bounds_mm: Any) -> tuple[Any, str]:
         bounds_mm,
     )
     return sensor, readings + "\n"
+
+
+def _odometry(config: Any) -> Any:
+    """The robot's recorded reports, None without any."""
+    from ursnav_torch.runs.odometry import recorded_odometry
+
+    if config.odometry is None:
+        return None
+    _refuse_camera(config, "odometry= is the log of a recording; with a camera, `navigate` hears the robot itself.")
+    return recorded_odometry(caller_path(config.odometry))
 
 
 def _besides(config: Any) -> Any:

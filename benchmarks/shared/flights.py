@@ -71,7 +71,7 @@ class Flown:
         flight: times, true poses, odometry.
         fogged: (N,) how much of the picture is lost on purpose, 0..1.
         images: (N, H, W, 3) uint8, mapped from disk.
-        relief: (N, h, w) what was extracted, nan where a picture showed nothing.
+        folder: where they lie.
     """
 
     case: Case

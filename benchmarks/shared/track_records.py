@@ -23,6 +23,9 @@ from ursnav_torch.vid import Vid
 Array = NDArray[np.float64]
 #: The settings classes of a `Tracker` by their names in `TrackSettings`.
 SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
+#: Columns of `Record.told`: score of the alignment; score as taken, lead and fit of the evidence; standard deviation of
+#: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed.
+TOLD = ("score", "plain", "lead", "fit", "sd_mm", "spread_mm", "spread_deg", "share", "smoothed_mm")
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -53,7 +56,8 @@ class Choice:
             if group not in kinds or name not in {f.name for f in fields(kinds[group])}:
                 raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
             base = found.get(group, kinds[group]())
-            found[group] = replace(base, **{name: type(getattr(base, name))(value)})
+            kind = int if isinstance(getattr(base, name), int) else float
+            found[group] = replace(base, **{name: kind(value)})
         return {"settings": TrackSettings(**found)}
 
     def __str__(self) -> str:
@@ -72,7 +76,7 @@ class Record:
         T: (N, 4, 4) nan where there is none.
         calyx, true_calyx: (N,) indices, -1 for none.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        extra: (N, K) diagnostics: fit, score, confidence.
+        told: (N, 9) what the answers say of themselves, see `TOLD`; nan where they say nothing.
     """
 
     flown: Flown
@@ -80,7 +84,7 @@ class Record:
     T: Array
     calyx: NDArray[np.int64]
     true_calyx: NDArray[np.int64]
-    extra: Array
+    told: Array
 
     @property
     def off_mm(self) -> Array:
@@ -109,16 +113,17 @@ def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]
 
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
-    """The pictures' features, kept as reliefs beside the pictures until the extractor changes."""
-    path = seen.folder / f"relief_{hashlib.sha256(_sources(('features',)).encode()).hexdigest()[:10]}.npy"
+    """The pictures' features, kept as `Tracker.planes` beside the pictures until the extractor changes."""
+    key = hashlib.sha256((_sources(("features",)) + repr(tracker.settings.reading)).encode()).hexdigest()[:10]
+    path = seen.folder / f"planes_{key}.npz"
     if not path.exists():
         found = [tracker.extract(image) for image in seen.images()]
-        camera = tracker.working_camera
-        nothing = np.full((camera.height, camera.width), np.nan, np.float16)
-        np.save(path, np.array([nothing if f is None else f.fields[0].numpy().astype(np.float16) for f in found]))
-    for relief in np.load(path, mmap_mode="r"):
-        gone = bool(np.isnan(relief).all())
-        yield None if gone else tracker.recall(torch.from_numpy(relief.astype(np.float32)))
+        planes = {str(i): tracker.planes(f).numpy().astype(np.float16) for i, f in enumerate(found) if f is not None}
+        np.savez_compressed(path, **planes)
+    with np.load(path) as kept:
+        for i in range(len(seen.flight.t_s)):
+            known = str(i) in kept.files
+            yield tracker.recall(torch.from_numpy(kept[str(i)].astype(np.float32))) if known else None
 
 
 def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
@@ -127,8 +132,20 @@ def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
         "state": np.array([a.state for a in answers]),
         "T": np.array([nowhere if a.T_kidney_camera is None else a.T_kidney_camera for a in answers]),
         "calyx": np.array([a.calyx for a in answers]),
-        "extra": np.array([[a.fit, a.score, a.confidence] for a in answers]),
+        "told": np.array([_told(a) for a in answers]),
     }
+
+
+def _told(answer: Tracked) -> list[float]:
+    """What an answer says of itself, see `TOLD`."""
+    found, sure, T, aligned = answer.evidence, answer.certainty, answer.T_kidney_camera, answer.T_aligned
+    seen = [np.nan] * 3 if found is None else [found.score, found.lead, found.fit]
+    known = [np.nan] * 4
+    if sure is not None:
+        e = sure.evidence
+        known = [sure.position_sd_mm, e.spread_mm, e.spread_deg, float(e.share[e.calyx])]
+    off = np.nan if T is None or aligned is None else float(np.linalg.norm(T[:3, 3] - aligned[:3, 3]))
+    return [answer.score, *seen, *known, off]
 
 
 def _sources(rooms: tuple[str, ...]) -> str:

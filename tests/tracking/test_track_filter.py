@@ -13,8 +13,9 @@ from ursnav_torch.features import ThesisSettings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.tracking.follow import Moment, Source, follow_source
-from ursnav_torch.tracking.motion import Hypotheses
+from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
+from ursnav_torch.tracking.motion import Hypotheses, Since
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import FilterSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
@@ -80,6 +81,24 @@ def test_white_pictures_are_bridged_but_not_for_ever(
     assert again[-1].state == TRACKING and off_mm(again, poses[-3:])[-1] < 2.0
 
 
+def test_in_the_dark_a_track_goes_where_the_robot_goes(
+    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, lens: Camera
+) -> None:
+    """What is pushed while nothing can be seen is where the scope is found afterwards."""
+    poses = flight(phantom, 2)
+    white = np.full((lens.height, lens.width), 255, np.uint8)
+    away = {}
+    for told in (True, False):
+        fresh.reset()
+        for i, T in enumerate(poses[:8]):
+            fresh.step(renderer.render(T).image, i / 10, odometry=OdometryReading(0.8 * i) if told else None)
+        for i in range(8, 12):
+            seen = fresh.step(white, i / 10, odometry=OdometryReading(0.8 * i) if told else None)
+        assert seen.T_kidney_camera is not None
+        away[told] = np.linalg.norm(seen.T_kidney_camera[:3, 3] - poses[11, :3, 3])
+    assert away[True] < min(1.0, away[False])
+
+
 def test_a_scope_put_elsewhere_is_found_within_two_seconds(
     fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer
 ) -> None:
@@ -92,12 +111,14 @@ def test_a_scope_put_elsewhere_is_found_within_two_seconds(
 
 def test_what_motion_forbids_is_held_against_a_pose(fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer) -> None:
     poses = flight(phantom, 2)
-    assert not fresh._expected(0.1, None)(poses).any()  # before the first picture nothing is known
+    assert not fresh._expected(None, None)(poses).any()  # before the first picture nothing is known
     follow(fresh, renderer, poses)
-    near, far, elsewhere = fresh._expected(0.1, None)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
+    assert fresh._before is not None
+    since = Since(fresh._before, 0.1, fresh.settings.motion)
+    near, far, elsewhere = fresh._expected(since, None)(np.stack([poses[-1], poses[-8], flight(phantom, 5)[-1]]))
     assert near == 0.0 > far > elsewhere >= -fresh.settings.challenger.score_step
     sensor = SensorReading(poses[-8, :3, 3], np.zeros(3), 0.5)
-    told = fresh._expected(0.1, sensor)(np.stack([poses[-1], poses[-8]]))
+    told = fresh._expected(since, sensor)(np.stack([poses[-1], poses[-8]]))
     assert told[1] > told[0]
 
 
@@ -121,7 +142,7 @@ def test_the_sensor_is_fused_into_the_smoothed_pose(fresh: Tracker, phantom: Kid
             return None if sigma is None else SensorReading(T[:3, 3] + T[:3, 0], np.zeros(3), sigma)
 
         fresh.reset()
-        answers = [tracked for _, tracked in follow_source(fresh, source, aside)]
+        answers = [tracked for _, tracked in follow_source(fresh, source, Instruments(aside))]
         assert {a.state for a in answers[-3:]} == {TRACKING}
         drawn[sigma], aligned[sigma] = (
             np.mean([(T_found[:3, 3] - T[:3, 3]) @ T[:3, 0] for T_found, T in zip(found[-3:], poses[-3:], strict=True)])

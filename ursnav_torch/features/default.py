@@ -72,10 +72,18 @@ class DefaultSettings:
 
 
 class DefaultExtractor:
-    """See `Extractor`; one lens, one set of settings."""
+    """See `Extractor`; one lens, one set of settings.
 
-    def __init__(self, settings: DefaultSettings, camera: Camera) -> None:
+    Args:
+        settings: as the virtual pictures are read.
+        camera: the lens.
+        learned: the wall network's share in real pictures, where it is another than the settings say. What lies
+            before the wall is left out all the same, unless the settings ask no network.
+    """
+
+    def __init__(self, settings: DefaultSettings, camera: Camera, learned: float | None = None) -> None:
         self.settings, self.camera = settings, camera
+        self._learned = settings.learned if learned is None else learned
         shrink = min(1.0, settings.working_px / min(camera.width, camera.height))
         self.working_camera = camera.resized(round(camera.width * shrink), round(camera.height * shrink))
         self._unit = float(min(self.working_camera.width, self.working_camera.height))
@@ -103,7 +111,7 @@ class DefaultExtractor:
         read = NOTHING_READ
         if not virtual and self._network is not None:
             read, before = self._network.read(image)
-            relief = blend(relief, read[0], self._small_mask, self.settings.learned)
+            relief = blend(relief, read[0], self._small_mask, self._learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
         fields = self._fields(relief)
@@ -148,7 +156,7 @@ class DefaultExtractor:
             InputError: the part has another size than the lens.
         """
         narrow = replace(self.camera, mask=mask_text(self.camera.pixel_rays()[1] & scene))
-        extractor = DefaultExtractor(self.settings, narrow)
+        extractor = DefaultExtractor(self.settings, narrow, self._learned)
         extractor._partial = True
         return extractor
 

@@ -26,6 +26,7 @@ from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid, pose_cells
@@ -45,12 +46,13 @@ STALE_S = 2.0
 @dataclass(frozen=True, slots=True)
 class _Job:
     """A picture to be located: its number among those given, when it was captured by this machine's clock, and the
-    newest EM reading before it."""
+    newest EM reading and report of the robot before it."""
 
     number: int
     frame: Frame
     captured_s: float
     sensor: SensorReading | None
+    odometry: OdometryReading | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +96,7 @@ class Navigator:
         # The pose where one calyx alone is left, the pose, and the picture's time.
         self._poses: Newest[tuple[Array | None, Array | None, float]] = Newest()
         self._reading: SensorReading | None = None
+        self._joints: OdometryReading | None = None
         self._told_coverage = ""
         self._results: deque[Result] = deque(maxlen=1000)
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
@@ -123,11 +126,14 @@ class Navigator:
             self._given += 1
             image = self._whole.put_back(event.image)
             frame = event if image is event.image else replace(event, image=image)
-            self._jobs.put(_Job(self._given, frame, captured, self._reading))
+            self._jobs.put(_Job(self._given, frame, captured, self._reading, self._joints))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = self._sensor(event)
-        elif isinstance(event, RobotSample) and event.state != self.bus.latest().robot:
-            self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
+        elif isinstance(event, RobotSample):
+            at, known = event.joints, event.place_known
+            self._joints = OdometryReading(at.insertion_mm, at.bend_x_rad, at.bend_y_rad) if known else None
+            if event.state != self.bus.latest().robot:
+                self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
         elif isinstance(event, Note) and event.level != "info":
             self.bus.update(lambda state: replace(state, notice=event.text))
 
@@ -199,7 +205,8 @@ class Navigator:
                 self.tracker.reset()
             job, begun = seen.job, time.monotonic()
             try:
-                tracked = self.tracker.follow(seen.features, job.frame.stamp.t_mono_s, job.sensor)
+                t_s = job.frame.stamp.t_mono_s
+                tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry)
             except Exception as error:
                 self.tracker.reset()  # whatever it was, it must not last
                 self._fail(job, error)

@@ -2,7 +2,7 @@
 
 import csv
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,12 +22,9 @@ from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
-from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
-from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
-
-Sensor = Callable[[Moment], SensorReading | None]
 
 #: Every so many views of the VID are asked what they can see; neighbors see the same.
 _REACH_STRIDE = 4
@@ -37,7 +34,7 @@ def track_source(
     tracker: Tracker,
     source: Source,
     out: Path,
-    sensor: Sensor | None,
+    instruments: Instruments | None,
     overwrite: bool,
     progress: Progress,
     offline: bool = False,
@@ -52,7 +49,7 @@ def track_source(
         tracker: fresh.
         source: the pictures.
         out: CSV file of the rows.
-        sensor: an EM reading for a picture.
+        instruments: EM readings and odometry for pictures, as far as there are.
         overwrite: replace what stands there.
         progress: shows how far it is.
         offline: follow a recording both ways before anything is answered, see `track_offline`.
@@ -76,7 +73,7 @@ def track_source(
     }
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
-            summary, ended = _tracked(tracker, source, whole, sensor, progress, offline, besides.exploration)
+            summary, ended = _tracked(tracker, source, whole, instruments, progress, offline, besides.exploration)
             whole.outcome = [summary + besides.write(whole), ended]
     told, ended = whole.outcome
     return str(told), bool(ended)
@@ -91,7 +88,7 @@ def _tracked(
     tracker: Tracker,
     source: Source,
     whole: WholeSet,
-    sensor: Sensor | None,
+    instruments: Instruments | None,
     progress: Progress,
     offline: bool,
     exploration: ExplorationSettings,
@@ -108,7 +105,7 @@ def _tracked(
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
         with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
             try:
-                for row, tracked in track_rows(tracker, follow(tracker, source, sensor, advance), coverage):
+                for row, tracked in track_rows(tracker, follow(tracker, source, instruments, advance), coverage):
                     writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
                     spent.append(tracked.seconds)
                     states[tracked.state] = states.get(tracked.state, 0) + 1

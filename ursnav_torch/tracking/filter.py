@@ -7,7 +7,7 @@ from ursnav_torch.features import Features
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.search import ViewSearch
 from ursnav_torch.search.pose_mean import mean_pose
-from ursnav_torch.tracking.motion import Hypotheses, MotionSettings, transition
+from ursnav_torch.tracking.motion import Hypotheses, Since
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import FilterSettings
 
@@ -21,27 +21,25 @@ class ViewFilter:
         search: compares a picture with the VID's views.
         places_mm: (V, 3) where the views stand, kidney frame.
         lumen: distances in their kidney.
-        settings, motion: how to weigh, lengths in mm of this kidney (see `scaled`).
+        settings: how to weigh, lengths in mm of this kidney (see `scaled`).
+        spacing_mm: how coarse the poses compared are.
     """
 
     def __init__(
-        self, search: ViewSearch, places_mm: Array, lumen: LumenDistance, settings: FilterSettings,
-        motion: MotionSettings,
-    ) -> None:  # fmt: skip
-        self.search, self.settings, self.motion = search, settings, motion
+        self, search: ViewSearch, places_mm: Array, lumen: LumenDistance, settings: FilterSettings, spacing_mm: float
+    ) -> None:
+        self.search, self.settings, self._spacing_mm = search, settings, spacing_mm
         self._to_tips = lumen.to_calyces(places_mm)
 
-    def update(
-        self, features: Features, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
-    ) -> tuple[Hypotheses, Array]:
-        """The hypotheses after a picture, some seconds after those before, and each one's search score (M,)."""
+    def update(self, features: Features, since: Since | None, sensor: SensorReading | None) -> tuple[Hypotheses, Array]:
+        """The hypotheses after a picture, and each one's search score (M,); nothing was known before when None."""
         scale = self.settings.likelihood_scale
         straight = self.search.everywhere(features)
-        prior = self._prior(straight.T_kidney_camera, self._to_tips, before, seconds, sensor)
+        prior = self._prior(straight.T_kidney_camera, self._to_tips, since, sensor)
         found = self.search.at_tilts(features, self._worth_trying(prior + straight.score / scale, straight.score))
         found = self.search.with_shapes(features, found)
         T, to_tips = found.T_kidney_camera, self._to_tips[found.views]
-        log = self._prior(T, to_tips, before, seconds, sensor) + found.score / scale
+        log = self._prior(T, to_tips, since, sensor) + found.score / scale
         weight = np.exp(log - log.max())
         return Hypotheses(T, to_tips, weight / weight.sum()), found.score
 
@@ -51,15 +49,11 @@ class ViewFilter:
         probable = np.argsort(-log)[: s.hypotheses - s.best_fitting]
         return np.union1d(probable, np.argsort(-score)[: s.best_fitting])
 
-    def _prior(
-        self, T: Array, to_tips: Array, before: Hypotheses | None, seconds: float, sensor: SensorReading | None
-    ) -> Array:
+    def _prior(self, T: Array, to_tips: Array, since: Since | None, sensor: SensorReading | None) -> Array:
         """Log-probability (N,) of poses before the picture is looked at."""
-        log = np.zeros(len(T))
-        if before is not None:
-            log = transition(before, T, to_tips, seconds, self.motion)
+        log = np.zeros(len(T)) if since is None else since.log_probability(T, to_tips)
         if sensor is not None:
-            log = log + sensor.log_probability(T, self.motion.spacing_mm)
+            log = log + sensor.log_probability(T, self._spacing_mm)
         return log
 
 

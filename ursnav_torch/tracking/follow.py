@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features import Features
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 
@@ -47,6 +48,22 @@ class Source:
     live: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Instruments:
+    """What is known beside the pictures: an EM reading, and what the robot reports, for a picture; None without."""
+
+    sensor: Callable[[Moment], SensorReading | None] | None = None
+    odometry: Callable[[Moment], OdometryReading | None] | None = None
+
+    def reading(self, moment: Moment) -> SensorReading | None:
+        """The EM reading for a picture, if there is one."""
+        return self.sensor(moment) if self.sensor else None
+
+    def joints(self, moment: Moment) -> OdometryReading | None:
+        """The robot's report for a picture, if there is one."""
+        return self.odometry(moment) if self.odometry else None
+
+
 def extracted(tracker: Tracker, source: Source) -> Iterator[tuple[Moment, Features | None, float]]:
     """Every picture with its features and the seconds those took; of files, the next is read beside its follower."""
     moments = source.moments()
@@ -69,11 +86,12 @@ def extracted(tracker: Tracker, source: Source) -> Iterator[tuple[Moment, Featur
 def follow_source(
     tracker: Tracker,
     source: Source,
-    sensor: Callable[[Moment], SensorReading | None] | None = None,
+    instruments: Instruments | None = None,
     advance: Callable[[int], None] = lambda n: None,
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture and the answer to it, as soon as it is known; ``advance`` is called with 1 after each."""
+    told = instruments or Instruments()
     for moment, features, spent in extracted(tracker, source):
         start = time.perf_counter() - spent
-        yield moment, tracker.follow(features, moment.t_s, sensor(moment) if sensor else None, start)
+        yield moment, tracker.follow(features, moment.t_s, told.reading(moment), start, told.joints(moment))
         advance(1)

@@ -1,12 +1,14 @@
 """How the tip of the scope moves from picture to picture: what follows from what, and with what probability."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.tracking.odometry import Carried
 
 Array = NDArray[np.float64]
 
@@ -50,6 +52,38 @@ class Hypotheses:
     T_kidney_camera: Array
     to_tips_mm: Array
     weight: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Since:
+    """What was known before, and what motion may have made of it by now.
+
+    Attributes:
+        before: the hypotheses then, carried on as far as a robot told.
+        seconds: that have passed.
+        motion: limits of what else happened, lengths in mm of this kidney.
+    """
+
+    before: Hypotheses
+    seconds: float
+    motion: MotionSettings
+
+    @classmethod
+    def told(
+        cls, before: Hypotheses, seconds: float, motion: MotionSettings, carried: Carried | None, lumen: LumenDistance
+    ) -> "Since":
+        """Where a robot told how the camera was carried, the hypotheses go along, and little else is expected."""
+        if carried is None:
+            return cls(before, seconds, motion)
+        T = before.T_kidney_camera @ carried.T_before_now
+        seconds = max(seconds, 1e-3)
+        speed, turn = carried.sd_mm / seconds, float(np.degrees(carried.sd_rad)) / seconds
+        less = replace(motion, speed_mm_s=max(speed, 1e-3), turn_deg_s=max(turn, 1e-3))
+        return cls(Hypotheses(T, lumen.to_calyces(T[:, :3, 3]), before.weight), seconds, less)
+
+    def log_probability(self, T: Array, to_tips_mm: Array) -> Array:
+        """Of poses (N, 4, 4) with their ways to the tips (N, C), see `transition`."""
+        return transition(self.before, T, to_tips_mm, self.seconds, self.motion)
 
 
 def likeliest_places(found: Hypotheses, count: int = PLACES) -> Array:

@@ -20,8 +20,9 @@ from ursnav_torch.features import Features
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.search.pose_mean import are_near, mean_pose
 from ursnav_torch.tracking.certainty import joined_certainty
-from ursnav_torch.tracking.follow import Moment, Source, extracted
+from ursnav_torch.tracking.follow import Instruments, Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
@@ -31,10 +32,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """A picture on the way there: when, the EM reading, the answer, and how many planes of it were kept."""
+    """A picture on the way there: when, the EM reading, the robot's report, the answer, how many planes were kept."""
 
     moment: Moment
     reading: SensorReading | None
+    joints: OdometryReading | None
     answer: Tracked
     planes: int
 
@@ -42,7 +44,7 @@ class _Followed:
 def follow_both_ways(
     tracker: Tracker,
     source: Source,
-    sensor: Callable[[Moment], SensorReading | None] | None = None,
+    instruments: Instruments | None = None,
     advance: Callable[[int], None] = lambda n: None,
 ) -> Iterator[tuple[Moment, Tracked]]:
     """Every picture of a file, without its image, and the answer to it once all have been seen.
@@ -53,7 +55,7 @@ def follow_both_ways(
     Args:
         tracker: fresh; it goes on from there and back, knowing on the way back what it learned on the way there.
         source: of recorded pictures.
-        sensor: an EM reading for a picture.
+        instruments: what is known beside the pictures.
         advance: called with 1 after every picture, on both ways.
 
     Raises:
@@ -61,21 +63,21 @@ def follow_both_ways(
     """
     if source.live:
         raise InputError("offline=true needs a recording: a video or a folder of pictures, not a camera.")
-    there: list[_Followed] = []
+    told, there = instruments or Instruments(), list[_Followed]()
     try:
         with tempfile.TemporaryFile() as spool:
             for moment, features, spent in extracted(tracker, source):
-                start, reading = time.perf_counter() - spent, sensor(moment) if sensor else None
-                answer = tracker.follow(features, moment.t_s, reading, start)
+                start, reading, joints = time.perf_counter() - spent, told.reading(moment), told.joints(moment)
+                answer = tracker.follow(features, moment.t_s, reading, start, joints)
                 planes = torch.zeros(0) if features is None else tracker.planes(features)
                 spool.write(planes.numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
-                there.append(_Followed(light, reading, answer, len(planes)))
+                there.append(_Followed(light, reading, joints, answer, len(planes)))
                 advance(1)
             back = []
             for step, features in zip(reversed(there), _recalled(tracker, there, spool), strict=True):
                 t_s = 2 * there[-1].moment.t_s - step.moment.t_s
-                back.append(tracker.follow(features, t_s, step.reading))
+                back.append(tracker.follow(features, t_s, step.reading, odometry=step.joints))
                 advance(1)
         forward, times = [step.answer for step in there], [step.moment.t_s for step in there]
         answers = join(forward, back[::-1], times, tracker, [step.reading for step in there])

@@ -29,6 +29,7 @@ class Weighed:
         found: the hypotheses, and ``fits`` (M,) how well each of them fits.
         prior: what motion says of poses, in units of the alignment's score.
         sensor: the EM reading, if there is one.
+        carried: how the camera was carried since the picture before (4, 4), where a robot told.
     """
 
     features: Features
@@ -36,6 +37,7 @@ class Weighed:
     fits: Array
     prior: Prior
     sensor: SensorReading | None
+    carried: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +47,14 @@ class _Lead:
     refined: Refined
     before: Refined | None = None
 
-    def ahead(self) -> list[Array]:
-        """Where the next pose may be: as far on as the last step led, or here."""
+    def ahead(self, carried: Array | None) -> list[Array]:
+        """Where the next pose may be: where the robot carried it, else as far on as the last step led; or here."""
         here = self.refined.T_kidney_camera
-        if self.before is None:
-            return [here]
-        on = here @ inverse(self.before.T_kidney_camera) @ here
+        if carried is None:
+            if self.before is None:
+                return [here]
+            carried = inverse(self.before.T_kidney_camera) @ here
+        on = here @ carried
         R = Rotation.from_matrix(on[:3, :3]).as_matrix()  # else rounding errors double from picture to picture
         return [transform_from(R, on[:3, 3]), here]
 
@@ -100,7 +104,7 @@ class Pursuit:
             self._challenger, self._evidence = None, 0.0
         else:
             agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
-            around = self._around(self._incumbent, T, picture.found)[: self.starts]
+            around = self._around(self._incumbent, T, picture)[: self.starts]
             self._incumbent = _Lead(self._aligned(picture, around, picture.prior), self._incumbent.refined)
             here = self._incumbent.refined
             elsewhere: list[Array] = []
@@ -118,7 +122,7 @@ class Pursuit:
     def _better(self, picture: Weighed, own: _Lead, elsewhere: list[Array]) -> _Lead:
         """The incumbent, or the challenger once that has been the better one; other places may become challengers."""
         s, before, sensor = self._settings, self._challenger, picture.sensor
-        tried = elsewhere if before is None else [*before.ahead(), *elsewhere]
+        tried = elsewhere if before is None else [*before.ahead(picture.carried), *elsewhere]
         if not tried:
             self._evidence = max(self._evidence - 1.0, 0.0)
             return own
@@ -155,13 +159,13 @@ class Pursuit:
                 tried.append(pose)
         return tried
 
-    def _around(self, own: _Lead, T: Array, found: Hypotheses) -> list[Array]:
+    def _around(self, own: _Lead, T: Array, picture: Weighed) -> list[Array]:
         """Where the track may go on: ahead, a step deeper or less deep in turn, and places among the hypotheses nearby.
 
         Depth is what alignment tells least, and where it slips.
         """
         s, near_mm = self._settings, self._same.same_place_mm
-        ahead = own.ahead()
+        ahead, found = own.ahead(picture.carried), picture.found
         self._deeper = -self._deeper
         slid = ahead[-1].copy()
         slid[:3, 3] += self._deeper * s.depth_step_mm * slid[:3, 2]

@@ -6,7 +6,26 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
 from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.motion import MotionSettings
+from ursnav_torch.tracking.odometry import OdometrySettings
 from ursnav_torch.tracking.smooth import SmoothSettings
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingSettings:
+    """How a video's pictures are read, beside how the VID's features say.
+
+    Attributes:
+        learned: share of the wall network in their relief, see `features.DefaultSettings`; None: as the VID's
+            features say. Without a network there, none is asked here.
+    """
+
+    learned: float | None = 0.0
+
+    def __post_init__(self) -> None:
+        if self.learned is not None and not 0 <= self.learned <= 1:
+            raise InputError(
+                f"learned={self.learned} must lie in 0..1, or be null: the wall network's share in a video's relief."
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +108,7 @@ class OwnKidneySettings:
         frame_s: time between pictures that these numbers are stated for.
     """
 
-    weights: tuple[float, float, float, float] = (-6.75, 17.4, 4.59, -2.26)
+    weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
     sensor_gate_sd: float = 3.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
@@ -115,9 +134,11 @@ class OwnKidneySettings:
 class TrackSettings:
     """How a scope is followed, see each part."""
 
+    reading: ReadingSettings = field(default_factory=ReadingSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)
     challenger: ChallengerSettings = field(default_factory=ChallengerSettings)
     own_kidney: OwnKidneySettings = field(default_factory=OwnKidneySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     smoothing: SmoothSettings = field(default_factory=SmoothSettings)
     certainty: TrackCertaintySettings = field(default_factory=TrackCertaintySettings)
+    odometry: OdometrySettings = field(default_factory=OdometrySettings)

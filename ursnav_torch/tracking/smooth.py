@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
+from ursnav_torch.tracking.odometry import Carried
 
 Array = NDArray[np.float64]
 
@@ -91,11 +92,18 @@ class PoseFilter:
         """Forget the track."""
         self.belief: Belief | None = None
 
-    def predict(self, t_s: float) -> Array | None:
-        """Pose (4, 4) at a later time, as far as motion tells; None before the first pose."""
+    def predict(self, t_s: float, carried: Carried | None = None) -> Array | None:
+        """Pose (4, 4) at a later time, as far as motion tells, or a robot of it; None before the first pose."""
         b = self.belief
         if b is None:
             return None
+        if carried is not None:
+            step, dt = carried.T_before_now, carried.seconds
+            way = b.R @ step[:3, 3]
+            P = np.diag([b.covariance[0, 0] + carried.sd_mm**2, (carried.sd_mm / dt) ** 2])
+            R = b.R @ step[:3, :3]
+            self.belief = Belief(np.stack([b.state[0] + way, way / dt]), P, R, b.turn_variance + carried.sd_rad**2, t_s)
+            return self.belief.pose()
         F, pushed, turned = self.settings.motion(max(t_s - b.at_s, 0.0))
         self.belief = Belief(F @ b.state, F @ b.covariance @ F.T + pushed, b.R, b.turn_variance + turned, t_s)
         return self.belief.pose()

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment import Refined, RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import (
@@ -25,6 +25,7 @@ from ursnav_torch.features import (
     Features,
     StillPixels,
 )
+from ursnav_torch.geometry import inverse
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
@@ -33,7 +34,8 @@ from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.filter import ViewFilter
-from ursnav_torch.tracking.motion import Hypotheses, likeliest_places, transition
+from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
+from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed
@@ -121,13 +123,13 @@ class Tracker:
         self._refiner = Refiner(vid, refinement or video)
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
-        self._smooth = PoseFilter(s.smoothing)
-        self._whole = self._extractor = DefaultExtractor(vid.settings, vid.camera)
+        self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
+        self._whole = self._extractor = DefaultExtractor(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._extractor.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
         if not views.scans:
             raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
-        self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion)
+        self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion.spacing_mm)
         self.reset()
 
     def described(self) -> str:
@@ -151,6 +153,11 @@ class Tracker:
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
         self._smooth.reset()
+        self._odometry.reset()
+        self._told_s: float | None = None  # when the robot last said something
+        self._step: Carried | None = None  # since the picture before
+        self._carried: Carried | None = None  # since the last picture that showed something
+        self._aligned: Refined | None = None  # that picture's pose
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
         self._seen_s, self._state = 0.0, SEARCHING
@@ -160,14 +167,20 @@ class Tracker:
         self._pursuit.reset()
         self._still = StillPixels(self.vid.camera.pixel_rays()[1])
 
-    def step(self, image: NDArray[np.uint8], t_s: float, sensor: SensorReading | None = None) -> Tracked:
+    def step(
+        self,
+        image: NDArray[np.uint8],
+        t_s: float,
+        sensor: SensorReading | None = None,
+        odometry: OdometryReading | None = None,
+    ) -> Tracked:
         """The answer to the next picture, taken at ``t_s`` seconds; pictures are (H, W) or (H, W, 3) uint8.
 
         Raises:
             InputError: the picture cannot be of the VID's lens.
         """
         start = time.perf_counter()
-        return self.follow(self.extract(image), t_s, sensor, start)
+        return self.follow(self.extract(image), t_s, sensor, start, odometry)
 
     def extract(self, image: NDArray[np.uint8], edges: bool = False) -> Features | None:
         """What `follow` needs of a picture (H, W) or (H, W, 3), None where it shows nothing; both may run at once.
@@ -215,23 +228,53 @@ class Tracker:
             return self._extractor.with_relief(kept, planes[0])
 
     def follow(
-        self, features: Features | None, t_s: float, sensor: SensorReading | None = None, start: float | None = None
+        self,
+        features: Features | None,
+        t_s: float,
+        sensor: SensorReading | None = None,
+        start: float | None = None,
+        odometry: OdometryReading | None = None,
     ) -> Tracked:
         """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``."""
         start = time.perf_counter() if start is None else start
+        self._carry(t_s, odometry)
         if features is None:
+            self._aligned = None
             return self._bridge(t_s, start)
         with torch.inference_mode(), one_thread_an_operation():
             return self._follow(features, t_s, sensor, start)
+
+    def _carry(self, t_s: float, odometry: OdometryReading | None) -> None:
+        """Take in what the robot says by now, if it says anything."""
+        self._step = None
+        if odometry is not None:
+            step = self._odometry.carried(odometry, 0.0 if self._told_s is None else t_s - self._told_s)
+            self._step = None if self._told_s is None else step
+        self._told_s = None if odometry is None else t_s
+        known = self._carried is not None and self._step is not None
+        self._carried = self._carried.then(self._step) if known else None  # type: ignore[union-attr,arg-type]
+
+    def _learn_plays(self, refined: Refined, passed: float) -> None:
+        """Compare the step from the picture before, as both are aligned, with the robot's word."""
+        before, good = self._aligned, self.settings.challenger.challenge_below
+        if before is not None and self._step is not None and min(before.score, refined.score) >= good:
+            mm, rad = self.settings.smoothing.noise(min(before.score, refined.score))
+            step = inverse(before.T_kidney_camera) @ refined.T_kidney_camera
+            self._odometry.learn(step, mm, rad, passed)
+        self._aligned, self._carried = refined, STILL
 
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
         passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         as_taken, features = features, self._pattern.removed(features, self._extractor)
-        found, fits = self._filter.update(features, self._before, passed, sensor)
+        carried, motion = self._carried, self.settings.motion
+        since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
+        found, fits = self._filter.update(features, since, sensor)
         fit = float(fits[found.weight.argmax()])
-        picture = Weighed(features, found, fits, self._expected(passed, sensor), sensor)
+        way = None if carried is None else carried.T_before_now
+        picture = Weighed(features, found, fits, self._expected(since, sensor), sensor, way)
         refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
+        self._learn_plays(refined, passed)
         if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         self._remember(found, refined.T_kidney_camera, t_s)
@@ -258,14 +301,14 @@ class Tracker:
         probability = self.settings.certainty.set_probability
         return track_certainty(evidence, self._weights, probability, kidney.scale), float(evidence.share[calyx])
 
-    def _expected(self, seconds: float, sensor: SensorReading | None) -> Prior:
+    def _expected(self, since: Since | None, sensor: SensorReading | None) -> Prior:
         """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
-        s, before, motion = self.settings.challenger, self._before, self.settings.motion
+        s = self.settings.challenger
 
         def prior(T: Array) -> Array:
             log = np.zeros(len(T))
-            if before is not None:
-                log = transition(before, T, self.lumen.to_calyces(T[:, :3, 3]), seconds, motion)
+            if since is not None:
+                log = since.log_probability(T, self.lumen.to_calyces(T[:, :3, 3]))
                 log = np.maximum(log - log.max(), -s.score_step / s.prior_weight)
             if sensor is not None:
                 log = log + sensor.log_probability(T)
@@ -301,7 +344,7 @@ class Tracker:
 
     def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
         """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
-        expected = self._smooth.predict(t_s)
+        expected = self._smooth.predict(t_s, self._step)
         if expected is not None and not self._near(expected[None], T)[0]:
             if score < self.settings.challenger.reacquire_below:
                 return expected
@@ -318,7 +361,7 @@ class Tracker:
         if self._state == TRACKING and t_s - self._seen_s > self.settings.filter.bridge_s:
             self._state = SEARCHING
             self._smooth.reset()
-        T = self._smooth.predict(t_s) if self._state == TRACKING else None
+        T = self._smooth.predict(t_s, self._step) if self._state == TRACKING else None
         if T is None:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
