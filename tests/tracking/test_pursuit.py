@@ -159,3 +159,23 @@ def test_a_reset_forgets_the_track() -> None:
     scores.asked.clear()
     pursuit.follow(picture(THERE, FAR), anew=False)
     assert all(np.linalg.norm(T[:3, 3] - HERE[:3, 3]) > 5.0 for T in scores.asked[0])
+
+
+def test_a_track_that_slips_is_looked_for_around_where_it_was() -> None:
+    """Poses are drawn there once it is aligned worse than of late, and not before; wider from picture to picture."""
+    scores = Scores(0.9)
+    pursuit = followed(scores)
+    asked = len(scores.asked)
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    assert len(scores.asked) == asked + 1
+    scores.here = 0.5
+    spread = []
+    for _ in range(2):
+        pursuit.follow(picture(HERE, FAR), anew=False)
+        (drawn,) = [tried for tried in scores.asked[-3:] if len(tried) == ChallengerSettings().catches]
+        spread.append(np.std([T[:3, 3] - HERE[:3, 3] for T in drawn]))
+    assert 0.3 < spread[0] / ChallengerSettings().catch_mm < 2
+    pursuit.catches = 0
+    asked = len(scores.asked)
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    assert all(len(tried) != ChallengerSettings().catches for tried in scores.asked[asked:])

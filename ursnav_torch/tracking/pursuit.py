@@ -18,6 +18,8 @@ from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
 Array = NDArray[np.float64]
+#: Share of a new picture in what a track scores of late.
+_NEWS = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +70,12 @@ class Pursuit:
 
     Attributes:
         starts: poses that the track is tried to go on from.
+        catches: poses that are tried after a slip.
     """
 
     def __init__(self, refiner: Refiner, settings: ChallengerSettings, same: FilterSettings) -> None:
         self._refiner, self._settings, self._same = refiner, settings, same
-        self.starts = settings.starts
+        self.starts, self.catches = settings.starts, settings.catches
         self.reset()
 
     def reset(self) -> None:
@@ -82,6 +85,9 @@ class Pursuit:
         self._challenger: _Lead | None = None
         self._good: Array | None = None  # last pose that was not badly aligned
         self._evidence, self._deeper = 0.0, 1.0
+        self._held: Array | None = None  # pose before the track slipped
+        self._usual, self._slipped = 0.0, 0  # score of late; pictures of the slip so far
+        self._rng = np.random.default_rng(0)  # the same pictures give the same answers
 
     @property
     def trusted(self) -> float:
@@ -102,10 +108,12 @@ class Pursuit:
         if anew or self._incumbent is None or self._incumbent.refined.score < s.reacquire_below:
             self._incumbent = _Lead(self._aligned(picture, self._anywhere(picture, T), picture.prior))
             self._challenger, self._evidence = None, 0.0
+            self._usual, self._slipped = self._incumbent.refined.score, 0
         else:
             agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
             around = self._around(self._incumbent, T, picture)[: self.starts]
-            self._incumbent = _Lead(self._aligned(picture, around, picture.prior), self._incumbent.refined)
+            before = self._incumbent.refined
+            self._incumbent = self._caught(picture, _Lead(self._aligned(picture, around, picture.prior), before))
             here = self._incumbent.refined
             elsewhere: list[Array] = []
             if not agrees and not self._near(T, here.T_kidney_camera):
@@ -114,10 +122,28 @@ class Pursuit:
                 elsewhere = self._apart([here.T_kidney_camera], picture.found, picture.fits, 2)[1:]
             self._incumbent = self._better(picture, self._incumbent, elsewhere)
         refined = self._incumbent.refined
+        self._usual += _NEWS * (refined.score - self._usual)
         self._light.learn(refined.light, refined.score)
         if refined.score >= s.reacquire_below:
             self._good = refined.T_kidney_camera
         return refined
+
+    def _caught(self, picture: Weighed, own: _Lead) -> _Lead:
+        """The track, or, where it has slipped, a better aligned pose near the one that it slipped from."""
+        s, ahead = self._settings, own if own.before is None else _Lead(own.before)
+        if own.refined.score >= self._usual - s.slip_drop or not self.catches:
+            self._slipped = 0
+            return own
+        self._held = ahead.ahead(None)[0] if not self._slipped or self._held is None else self._held
+        if picture.carried is not None:
+            self._held = self._held @ picture.carried
+        self._slipped += 1
+        sd = np.sqrt(self._slipped) * np.repeat([s.catch_mm, np.radians(s.catch_deg)], 3)
+        steps = self._rng.normal(size=(self.catches, 6)) * sd
+        turns = Rotation.from_rotvec(steps[:, 3:]).as_matrix()
+        starts = [self._held @ transform_from(R, way) for R, way in zip(turns, steps[:, :3], strict=True)]
+        found = self._aligned(picture, starts, picture.prior)
+        return _Lead(found, own.before) if found.score > own.refined.score + s.score_step / 2 else own
 
     def _better(self, picture: Weighed, own: _Lead, elsewhere: list[Array]) -> _Lead:
         """The incumbent, or the challenger once that has been the better one; other places may become challengers."""

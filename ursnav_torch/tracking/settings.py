@@ -72,6 +72,10 @@ class ChallengerSettings:
             up to ``score_step``.
         max_step: a single picture counts for no more steps than this.
         takeover_evidence: so many steps, and the challenger becomes the incumbent.
+        slip_drop: a track aligned worse than of late by this has slipped: near a wall and in a fast turn alignment
+            reaches a millimeter, and no further.
+        catches: poses drawn around where it was before that are tried then.
+        catch_mm, catch_deg: standard deviations that they are drawn with, more from picture to picture of a slip.
     """
 
     starts: int = 5
@@ -82,12 +86,16 @@ class ChallengerSettings:
     prior_weight: float = 0.01
     max_step: float = 2.0
     takeover_evidence: float = 3.0
+    slip_drop: float = 0.15
+    catches: int = 8
+    catch_mm: float = 1.2
+    catch_deg: float = 6.0
 
     def __post_init__(self) -> None:
-        if self.starts < 1 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
+        if self.starts < 1 or self.catches < 0 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
             raise InputError(
-                "A challenger needs starts >= 1 and score_step, prior_weight and takeover_evidence > 0, got "
-                f"{self.starts}, {self.score_step}, {self.prior_weight} and {self.takeover_evidence}."
+                "A challenger needs starts >= 1, catches >= 0, score_step, prior_weight and takeover_evidence > 0; got "
+                f"{self.starts}, {self.catches}, {self.score_step}, {self.prior_weight} and {self.takeover_evidence}."
             )
 
 

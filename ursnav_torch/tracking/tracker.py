@@ -146,7 +146,9 @@ class Tracker:
         """
         full, refinement = self.settings.filter, self._full_refinement
         few = max(full.hypotheses // 3, 2)
-        self._pursuit.starts = 2 if level else self.settings.challenger.starts
+        challenger = self.settings.challenger
+        self._pursuit.starts = 2 if level else challenger.starts
+        self._pursuit.catches = challenger.catches // 2 if level else challenger.catches
         self._refiner.settings = replace(refinement, iterations=4) if level else refinement
         self._filter.settings = replace(full, hypotheses=few, best_fitting=max(few // 4, 1)) if level > 1 else full
 
