@@ -150,7 +150,7 @@ def test_the_page_draws_the_kidney_and_the_pictures(tab, page):
 def test_the_status_line_follows_the_exploration(tab, page):
     bus, seen = page.navigator.bus, set()
     eventually(lambda: seen.add(tab.text("status")) or len(seen) >= 4)
-    assert all(" of 6 inspected." in text for text in seen)
+    assert all(re.search(r"(\d of|All) 6 inspected\.", text) for text in seen), seen
     version = bus.latest().version
     wanted = set()
 
@@ -161,6 +161,20 @@ def test_the_status_line_follows_the_exploration(tab, page):
     tab.wait(told)
     assert "poses a second" in tab.text("latency")
     assert tab.tab.locator("#strip button").count() == 6
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1000, 900), (1920, 1080)])
+def test_the_whole_kidney_is_in_the_middle_of_its_pane_and_fills_it(tab, vid, size):
+    tab.tab.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
+    tab.tab.wait_for_timeout(500)
+    pane, shown = tab.tab.locator("#kidney").bounding_box(), np.array(tab.screen(vid.kidney.mesh.vertices))
+    low, high = (
+        shown.min(0) - [pane["x"], pane["y"]],
+        [pane["x"] + pane["width"], pane["y"] + pane["height"]] - shown.max(0),
+    )
+    margins, sides = np.stack([low, high]), np.array([pane["width"], pane["height"]])
+    assert (margins > 0.02 * sides).all() and (margins.min(0) < 0.15 * sides).any()
+    tab.tab.set_viewport_size({"width": 1300, "height": 900})
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (1920, 1080)])

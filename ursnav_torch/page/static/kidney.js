@@ -7,6 +7,8 @@ const COLORS = { inspected: 0x63d07a, glimpsed: 0xf2b53c, unseen: 0xff6f64, "out
 const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
 // No picture is drawn wider: without a graphics card the time goes with its pixels.
 const WIDEST_PX = 1200;
+// Share of the pane that the kidney fills.
+const FILLED = 0.9;
 
 export async function kidneyView(pane, onCalyx) {
   const buffer = await (await fetch("/kidney.bin")).arrayBuffer();
@@ -22,9 +24,8 @@ export async function kidneyView(pane, onCalyx) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(40, 1, 1, 40 * about.extent);
   camera.up.copy(vector(about.up));
-  camera.position.copy(center).addScaledVector(vector(about.away), -3 * about.extent);
   const controls = new OrbitControls(camera, canvas);
-  controls.target.copy(center); controls.enableDamping = false; controls.update();
+  controls.enableDamping = false;
   scene.add(new THREE.AmbientLight(0xffffff, 1.4));
   const lamp = new THREE.DirectionalLight(0xffffff, 2.6);
   lamp.position.set(0.4, 0.5, 1); lamp.target.position.set(0, 0, -1);
@@ -77,8 +78,24 @@ export async function kidneyView(pane, onCalyx) {
   const fit = () => {
     const { clientWidth: width, clientHeight: height } = pane;
     renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5, WIDEST_PX / Math.max(width, 1))); renderer.setSize(width, height, false);
-    camera.aspect = width / Math.max(height, 1); camera.updateProjectionMatrix(); ask();
+    camera.aspect = width / Math.max(height, 1); camera.updateProjectionMatrix();
+    if (!moved) frame();
+    ask();
   };
+  // The whole kidney in the middle of the pane, as near as it fits; until somebody turns it or comes nearer.
+  let moved = false;
+  const frame = () => {
+    const back = vector(about.away).negate().normalize(), right = new THREE.Vector3().crossVectors(camera.up, back).normalize(), up = new THREE.Vector3().crossVectors(back, right);
+    const origin = vector(about.center), p = new THREE.Vector3(), all = [];
+    for (let i = 0; i < about.vertices; i++) { p.fromArray(vertices, 3 * i).sub(origin); all.push([p.dot(right), p.dot(up), p.dot(back)]); }
+    const middle = (axis) => (all.reduce((m, q) => Math.min(m, q[axis]), Infinity) + all.reduce((m, q) => Math.max(m, q[axis]), -Infinity)) / 2;
+    const x = middle(0), y = middle(1), slope = FILLED * Math.tan(THREE.MathUtils.degToRad(camera.fov / 2));
+    const away = all.reduce((m, q) => Math.max(m, q[2] + Math.max(Math.abs(q[0] - x) / camera.aspect, Math.abs(q[1] - y)) / slope), 0);
+    center.copy(origin).addScaledVector(right, x).addScaledVector(up, y);
+    camera.position.copy(center).addScaledVector(back, away);
+    controls.target.copy(center); controls.update();
+  };
+  controls.addEventListener("start", () => { moved = true; });
   new ResizeObserver(fit).observe(pane); controls.addEventListener("change", ask);
 
   // Labels beside their balls; one that would cover another goes below or above it.
@@ -140,8 +157,8 @@ export async function kidneyView(pane, onCalyx) {
       for (const [points, color, size] of sets) for (const p of points) { const d = new THREE.Mesh(new THREE.SphereGeometry(size * unit, 10, 8), new THREE.MeshBasicMaterial({ color })); d.position.copy(vector(p)); dots.add(d); }
       ask();
     },
-    turn(right, down_) { const offset = camera.position.clone().sub(center), side = new THREE.Vector3().crossVectors(camera.up, offset).normalize(); offset.applyAxisAngle(camera.up, right).applyAxisAngle(side, down_); camera.position.copy(center).add(offset); controls.update(); ask(); },
-    zoom(factor) { camera.position.sub(center).multiplyScalar(factor).add(center); controls.update(); ask(); },
+    turn(right, down_) { moved = true; const offset = camera.position.clone().sub(center), side = new THREE.Vector3().crossVectors(camera.up, offset).normalize(); offset.applyAxisAngle(camera.up, right).applyAxisAngle(side, down_); camera.position.copy(center).add(offset); controls.update(); ask(); },
+    zoom(factor) { moved = true; camera.position.sub(center).multiplyScalar(factor).add(center); controls.update(); ask(); },
     onPick(action) { pick = action; },
     screen(points) { return points.map((p) => { const q = vector(p).project(camera), box = canvas.getBoundingClientRect(); return [box.x + (q.x + 1) / 2 * box.width, box.y + (1 - q.y) / 2 * box.height]; }); },
   };
