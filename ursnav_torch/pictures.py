@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import struct
 import warnings
 
 import cv2
@@ -20,6 +21,7 @@ MOST_PIXELS = 40_000_000
 MOST_BYTES = 256 << 20
 #: The kinds of files that are taken for pictures, in Pillow's words.
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
+_PNG, _CHUNK = b"\x89PNG\r\n\x1a\n", struct.Struct(">I4s")
 #: Gray stays gray, 16 bits stay 16; only without IMREAD_UNCHANGED does OpenCV turn a picture as its EXIF data say.
 _AS_SEEN = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 
@@ -37,7 +39,7 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
         InputError: the picture has more than `MOST_PIXELS` pixels, or the file holds several pictures.
     """
     pixels, pages = _declared(encoded)
-    if pixels is None:
+    if pixels is None or (encoded.startswith(_PNG) and not _has_all_chunks(encoded)):
         return None
     if pixels > MOST_PIXELS:
         raise InputError(
@@ -56,6 +58,20 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
         return None
     finally:
         cv2.utils.logging.setLogLevel(level)
+
+
+def _has_all_chunks(encoded: bytes) -> bool:
+    """Whether the chunks of a PNG lie within the file up to its end chunk.
+
+    OpenCV makes room for a chunk of up to 4 GiB before it sees that it is not there.
+    """
+    at = len(_PNG)
+    while at + _CHUNK.size <= len(encoded):
+        length, kind = _CHUNK.unpack_from(encoded, at)
+        at += _CHUNK.size + length + 4  # a checksum follows
+        if kind == b"IEND":
+            return at <= len(encoded)
+    return False
 
 
 def _declared(encoded: bytes) -> tuple[int | None, int]:

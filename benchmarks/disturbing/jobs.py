@@ -41,7 +41,7 @@ def jobs(inputs: Path) -> list[Job]:
             ("track.coverage.json", "track.coverage.png", "track.tum")),
         Job("register", (f"landmarks={inputs}/landmarks.csv",), "em.json"),
         Job("calibrate", (f"images={inputs}/boards", "board=chessboard", "columns=9", "rows=7"), "lens.json",
-            ("lens.png",)),
+            ("lens.png", "lens.mask.png")),
         Job("segment", (f"kidney.path={inputs}/labels.nii.gz",), "segmented"),
         Job("print_phantom", ("kidney=mesh", lumen), "printed"),
         Job("experiment", (*_SMALL, "calibrate=false", "workers=1"), "experiment"),

@@ -85,3 +85,15 @@ def test_pictures_of_every_kind_are_decoded_as_opencv_does(suffix: str, dtype: t
     assert found is not None and found.dtype == dtype
     np.testing.assert_array_equal(found, cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED))
     assert decode_picture(b"", "x") is None and decode_picture(encoded[:9], "x") is None
+
+
+@pytest.mark.parametrize("length", [0xFF000923, 10_000])
+def test_a_png_whose_chunk_reaches_beyond_the_file_takes_no_memory(length: int) -> None:
+    """OpenCV made room for 4.3 GB before it saw that the chunk is not there."""
+    good = cv2.imencode(".png", np.full((24, 32, 3), 90, np.uint8))[1].tobytes()
+    at = good.index(b"IDAT") - 4
+    bad = good[:at] + length.to_bytes(4, "big") + good[at + 4 :]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert decode_picture(bad, "x") is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000, "KiB"
+    assert decode_picture(good + b"behind its end", "x") is not None
