@@ -11,6 +11,7 @@ recorded, pictures are located in a VID of the phantom, and the record is replay
 
 import json
 import os
+import re
 import tempfile
 import threading
 import time
@@ -27,7 +28,7 @@ from benchmarks.session.faults import Faults, Operator
 from benchmarks.session.watching import Watching
 from benchmarks.shared.results import Report, overrides, resident_mb
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.devices import Frame, RobotLight
+from ursnav_torch.devices import Frame, Note, RobotLight
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer
@@ -55,6 +56,8 @@ SETTINGS = {
     "out": "",
 }
 TRACKERS = {"openigtlink": SimulatedOpenIgtlTracker, "ndi": SimulatedNdiTracker}
+#: What is said of a device that works again, and by how much it rounds.
+OUTAGE, OUTAGE_S = re.compile(r"again after (\d+\.\d) s"), 0.1
 RATES_HZ = {"Frame": 15.0, "TrackerSample": 40.0, "CommandSample": 50.0}
 
 
@@ -103,8 +106,11 @@ def _soak(report: Report, settings: dict[str, Any], folder: Path) -> None:
     assert rig.robot is not None and rig.gamepad is not None
     operator = Operator(rig.gamepad, rig.robot)
     looks: list[tuple[float, float, int, int]] = []
+    outages: list[tuple[float, float]] = []
 
     def look(event: Event) -> None:
+        if isinstance(event, Note) and (found := OUTAGE.search(event.text)) and "Tracker" in event.text:
+            outages.append((event.stamp.t_mono_s - float(found[1]) - OUTAGE_S, event.stamp.t_mono_s))
         if not looks or time.monotonic() - looks[-1][0] >= 1.0:
             looks.append((time.monotonic(), resident_mb(), threading.active_count(), len(os.listdir("/proc/self/fd"))))
 
@@ -116,7 +122,14 @@ def _soak(report: Report, settings: dict[str, Any], folder: Path) -> None:
         live = Live(rig, duration_s=60 * settings["minutes"])
         with Faults(rig, settings["faults_every_s"], watching.reload) as faults:
             summary = run_session(live, None, [recorder.write, look, watching.show])
-    _add_soak(report, summary, faults, looks)
+    _add_soak(report, summary, looks)
+    missed = len(faults.sent_s) - summary.counts["TrackerSample"]
+    during = sum(any(begun <= t <= ended for begun, ended in outages) for t in faults.sent_s)
+    report.add("EM poses", "sent and not come", "samples", [float(missed)], n=len(faults.sent_s))
+    report.add("EM poses", "sent while a connection was down, as was noted", "samples", [float(during)])
+    report.add("EM poses", "unaccounted for", "samples", [float(max(missed - during, 0))], n=len(faults.sent_s))
+    for name, count in sorted(faults.planted.items()):
+        report.add("faults planted", name.replace("_", " "), "times", [float(count)])
     report.add("page", "opened", "times", [float(watching.reloads)])
     report.add("page", "messages that arrived", "messages", [float(watching.heard)])
     report.add("operator", "stops acknowledged", "times", [float(operator.acknowledged)])
@@ -129,17 +142,15 @@ def _soak(report: Report, settings: dict[str, Any], folder: Path) -> None:
     print(summary.text())
 
 
-def _add_soak(report: Report, summary: Summary, faults: Faults, looks: list[tuple[float, float, int, int]]) -> None:
+def _add_soak(report: Report, summary: Summary, looks: list[tuple[float, float, int, int]]) -> None:
     t, memory, threads, descriptors = np.array(looks).T
     settled = t > t[0] + (t[-1] - t[0]) / 3
     slope = float(np.polyfit(t[settled] / 60, memory[settled] / 1.048576, 1)[0])
-    group = f"soak of {summary.seconds / 60:.1f} min, {sum(faults.planted.values())} faults"
+    group = f"soak of {summary.seconds / 60:.1f} min"
     report.add(group, "memory slope over the last two thirds", "MiB/min", [slope])
     for name, values in (("threads", threads), ("descriptors", descriptors)):
         first, second = np.array_split(values[settled], 2)
         report.add(group, f"{name}, second half less first", name, [float(np.median(second) - np.median(first))])
-    report.add(group, "EM poses sent and not come", "samples", [float(faults.sent - summary.counts["TrackerSample"])],
-               n=faults.sent)  # fmt: skip
     report.add(group, "faults noted", "notes", [float(len(summary.faults))])
     for name, seconds in summary.outages_s.items():
         report.add(group, f"{name} gave nothing", "s", [seconds])

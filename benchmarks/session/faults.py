@@ -61,12 +61,12 @@ class Faults:
         self._reload_page = reload
         self._random, self._end = random.Random(seed), threading.Event()
         self.planted: dict[str, int] = {}
-        self.sent = 0
+        self.sent_s: list[float] = []
         send = self._tracker.server.server.send_pose
 
         def counted(*arguments: object) -> int:
             reached = send(*arguments)  # type: ignore[arg-type]
-            self.sent += reached
+            self.sent_s += [time.monotonic()] * reached
             return reached
 
         self._tracker.server.server.send_pose = counted  # type: ignore[method-assign, assignment]
@@ -99,8 +99,9 @@ class Faults:
         self._send(np.zeros((4, 4)), self._tracker.device)
 
     def _no_rotation(self) -> None:
+        known = len(self.sent_s)
         self._send(3 * np.eye(4), self._tracker.device)
-        self.sent -= 1  # it is refused, and said
+        del self.sent_s[known:]  # it is refused, and said
 
     def _garbage(self) -> None:
         for client in list(self._tracker.server.server._clients):

@@ -248,3 +248,17 @@ def test_what_goes_against_motion_under_way_waits_near_a_limit():
     assert not robot._may_pass_a_limit(1.5 * mm, 2 * mm, under_way), "who stays behind passes nothing"
     robot.place.set(5.5 * mm)
     assert robot._may_pass_a_limit(0.8 * mm, 4.5 * mm, (-mm, 0 * mm))
+
+
+def test_a_stop_before_the_robot_has_moved_from_where_counts_begin_leaves_slack_and_no_doubt():
+    with Bench("grbl", LIMITS) as bench:
+        robot = bench.robot
+        robot.arm()
+        robot.command(JointRates(insertion_mm_s=8.0), True)
+        robot.emergency_stop("operator")
+        assert bench.come_to_rest()
+        time.sleep(0.15)
+        robot.acknowledge()
+        assert robot.arm()
+        assert abs(robot.read().joints.insertion_mm - bench.true_mm()) <= bench.slack_mm() + 0.01
+        assert bench.slack_mm() <= 0.5

@@ -1,6 +1,8 @@
 """The cycle that turns the operator's hands into motion and light."""
 
+import itertools
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -65,8 +67,8 @@ class Control:
         self._last = hands
         self._cycle += 1
         try:
-            events += self._light(hands)
-            events += self._drive(hands)
+            for event in itertools.chain(self._light(hands), self._drive(hands)):
+                events.append(event)  # one by one: what was done before a fault has happened
         except DeviceError as error:
             events.append(Note(self._note(), "error", str(error)))
         except Exception as error:  # a driver's own mistake must neither end this cycle for good nor leave it moving
@@ -75,24 +77,22 @@ class Control:
             events.append(Note(self._note(), "error", f"{type(error).__name__}: {error}"))
         return events
 
-    def _drive(self, hands: OperatorInput) -> list[Any]:
+    def _drive(self, hands: OperatorInput) -> Iterator[Any]:
         if self.robot is None:
-            return []
-        events: list[Any] = []
+            return
         if hands.emergency_stop:
             self.robot.emergency_stop("operator")
         elif hands.acknowledge:
-            events += self._acknowledge(self.robot)
+            yield from self._acknowledge(self.robot)
         elif hands.arm and not self.robot.arm():
-            events.append(Note(self._note(), "warning", self.robot.why_not_armed))
+            yield Note(self._note(), "warning", self.robot.why_not_armed)
         bend, push = self.robot.limits.max_bend_rate_rad_s, self.robot.limits.max_insertion_rate_mm_s
         wanted = JointRates(hands.bend_x * bend, hands.bend_y * bend, hands.insertion * push)
-        events.append(self.robot.command(wanted, hands.dead_man))
+        yield self.robot.command(wanted, hands.dead_man)
         if self._cycle % 5 == 0:
-            events.append(self.robot.read())
-        return events
+            yield self.robot.read()
 
-    def _acknowledge(self, robot: Robot) -> list[Any]:
+    def _acknowledge(self, robot: Robot) -> Iterator[Any]:
         """End a stop; where the robot's place was lost, the next acknowledgment confirms the last certain one.
 
         The light, which a controller puts out with the motors, comes back as it was.
@@ -100,17 +100,19 @@ class Control:
         now = time.monotonic()
         if robot.gate.state != STOPPED:
             if robot.place.is_known or now - self._acknowledged_s < CONFIRM_AFTER_S:
-                return []
+                return
             robot.confirm_place()
-            return [Note(self._note(), "info", "The robot's place was confirmed by the operator.")]
+            yield Note(self._note(), "info", "The robot's place was confirmed by the operator.")
+            return
         robot.acknowledge()
         self._acknowledged_s = now
-        lit = [] if self.light is None else [self.light.set_level(self._level)]
-        lost = [] if robot.place.is_known else [Note(self._note(), "warning", robot.why_not_armed)]
-        return [*lit, *lost]
+        if self.light is not None:
+            yield self.light.set_level(self._level)
+        if not robot.place.is_known:
+            yield Note(self._note(), "warning", robot.why_not_armed)
 
-    def _light(self, hands: OperatorInput) -> list[Any]:
+    def _light(self, hands: OperatorInput) -> Iterator[LightSample]:
         if self.light is None or (hands.light_step == 0 and self._cycle > 1):
-            return []
+            return
         self._level = min(max(self._level + hands.light_step * self.light_step, 0.0), 1.0)
-        return [self.light.set_level(self._level)]
+        yield self.light.set_level(self._level)

@@ -52,6 +52,8 @@ GREETING = re.compile(r"Grbl(?:HAL)? (\d+\.\d+)", re.IGNORECASE)
 JOGGING, FLUIDNC = ("1.1", "1.2"), "[FluidNC"
 #: GRBL reports thousandths of a mm and rounds to its own steps.
 ROUNDING_MM = 0.005
+#: A place in doubt by less than what a horizon moves the slider at its cap is known well enough.
+DOUBT_MM = 1.0
 
 logger = logging.getLogger(__name__)
 
@@ -242,11 +244,18 @@ class GrblRobot(Robot):
         self._resets.set(seen)
 
     def _doubt(self, counts: Array) -> None:
-        """While stopped and without a mark: lose the place where counts (3,) may be those of a board that was reset."""
-        if self._resets.may_count_anew(counts) and not self.place.is_certainly(counts - self._offset_mm):
-            self.place.lose("the controller may count from zero again; it may have been reset")
-        else:
+        """While stopped and without a mark: lose the place where counts (3,) may be those of a board that was reset.
+
+        Stopped where counts begin, before it has moved: then all it may have moved is said to be slack instead.
+        """
+        at = counts - self._offset_mm
+        if not self.place.is_known or not self._resets.may_count_anew(counts) or self.place.is_certainly(at):
             self._resets.proved()
+        elif self.place.fits(at) and self.place.width.max() <= DOUBT_MM:
+            self.place.confirm()
+            self._offset_mm = counts - self.place.axes
+        else:
+            self.place.lose("the controller may count from zero again; it may have been reset")
 
     def _read_axes(self, timeout_s: float) -> bool:
         state, axes = self._status(timeout_s)

@@ -36,6 +36,11 @@ class Place:
         """(3,) the last report; while the place is lost, the middle of where the axes may be."""
         return self._reported if self.is_known else (self._low + self._high) / 2
 
+    @property
+    def width(self) -> Array:
+        """(3,) how wide the interval is in which the axes are."""
+        return self._high - self._low
+
     def sent(self, end: Array) -> None:
         """Motion was sent that ends at (3,)."""
         self._low, self._high = np.minimum(self._low, end), np.maximum(self._high, end)
