@@ -14,6 +14,7 @@ import multiprocessing
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ def _fed(names: list[str], scratch: Path, settings: dict[str, Any]) -> tuple[dic
         while True:
             try:
                 tallies, peak_now = ours.recv()
-                peak, told_s = max(peak, peak_now), _tell(tallies, told_s)
+                peak, told_s = max(peak, peak_now, *(t.peak_mb for t in tallies.values())), _tell(tallies, told_s)
             except EOFError:
                 break
         process.join()
@@ -83,9 +84,17 @@ def _tell(tallies: dict[str, Tally], told_s: float) -> float:
     """Say on standard error, once a minute, how far it is; when that was last done."""
     if time.monotonic() - told_s < 60:
         return told_s
-    counts, found = [t.inputs for t in tallies.values()], sum(len(t.findings) for t in tallies.values())
-    print(f"{sum(counts)} inputs, {min(counts)} at least a reader, {found} findings", file=sys.stderr, flush=True)
+    counts, found = [t.inputs for t in tallies.values()], list(_findings(tallies))
+    print(f"{sum(counts)} inputs, {min(counts)} at least a reader, {len(found)} findings", file=sys.stderr)
+    print("".join(f"  {text}\n" for text in found), end="", file=sys.stderr, flush=True)
     return time.monotonic()
+
+
+def _findings(tallies: dict[str, Tally]) -> Iterator[str]:
+    """Every finding, with what makes its input anew."""
+    for name, tally in tallies.items():
+        for number, text in tally.findings.values():
+            yield f"{name} number={number}: {text}"
 
 
 def _work(
@@ -108,18 +117,19 @@ def _work(
         for place, feeder in enumerate(feeders):
             behind = feeder.tally.inputs < settings["least"]
             if behind or not settings["inputs"] or total < settings["inputs"]:
-                _turn(feeder, place, MORE_S if behind else TURN_S, now)
+                _turn(feeder, place, MORE_S if behind else TURN_S, now, float(settings["most_mb"]))
         pipe.send(({f.reader.name: f.tally for f in feeders}, peak_mb()))
     pipe.close()
 
 
-def _turn(feeder: Feeder, place: int, seconds: float, now: Any) -> None:
+def _turn(feeder: Feeder, place: int, seconds: float, now: Any, most_mb: float) -> None:
     """Feed one reader for some seconds of this process's own time, or three times as many on the wall."""
     watch_turn()
     worked, waited = time.process_time() + seconds, time.monotonic() + 3 * seconds
     while time.process_time() < worked and time.monotonic() < waited:
         now[0], now[1] = place, feeder.tally.inputs
         feeder.feed(feeder.tally.inputs)
+        feeder.heed_memory(most_mb)
 
 
 def _keep(reader: Reader, scratch: Path, settings: dict[str, Any]) -> int:
@@ -140,10 +150,7 @@ def _told(tallies: dict[str, Tally], peak: float, deaths: list[str]) -> None:
         print(f"{name:48} {tally.inputs:9} {tally.refused:9} {tally.slowest_s:9.2f}  {len(tally.findings)}")
     total, found = sum(t.inputs for t in tallies.values()), sum(len(t.findings) for t in tallies.values())
     print(f"{len(tallies)} readers, {total} inputs, {found} findings, {len(deaths)} deaths, peak {peak:.0f} MiB")
-    for name, tally in tallies.items():
-        for number, text in tally.findings.values():
-            print(f"  {name} number={number}: {text}")
-    for text in deaths:
+    for text in (*_findings(tallies), *deaths):
         print(f"  {text}")
 
 

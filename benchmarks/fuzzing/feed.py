@@ -47,6 +47,7 @@ class Tally:
     accepted_altered: int = 0
     findings: dict[str, tuple[int, str]] = field(default_factory=dict)
     slowest_s: float = 0.0
+    peak_mb: float = 0.0
 
 
 class Feeder:
@@ -127,6 +128,13 @@ class Feeder:
         self.tally.altered += is_vid and altered and not sealed
         self.tally.inputs += 1
         self.tally.slowest_s = max(self.tally.slowest_s, time.process_time() - start)
+
+    def heed_memory(self, most_mb: float) -> None:
+        """Note it where this process held more than ``most_mb`` since it was last asked: the last input took it."""
+        if (peak := peak_mb()) > most_mb:
+            self.tally.peak_mb = max(self.tally.peak_mb, peak)
+            self._found(self.tally.inputs - 1, "memory", f"the process held {peak:.0f} MiB")
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the mark begins anew
 
     def _found(self, number: int, kind: str, text: str) -> None:
         self.tally.findings.setdefault(kind, (number, text))
