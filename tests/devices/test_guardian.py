@@ -2,7 +2,7 @@
 
 import ast
 import os
-import signal
+import random
 import subprocess
 import sys
 import textwrap
@@ -11,26 +11,15 @@ import time
 import pytest
 from dialogue import wait_until
 
+from benchmarks.safety import SEEN_S
+from benchmarks.safety.bench import KINDS
+from benchmarks.safety.frozen import SPEED_MM_S, WAYS, freeze
 from ursnav_torch.devices import GrblRobot, JointRates, RosserialRobot
 from ursnav_torch.devices.robots.guardian import Guardian
+from ursnav_torch.devices.robots.robot import BLIND_S
 from ursnav_torch.simulation.grbl_board import GrblBoard
 from ursnav_torch.simulation.port import SimulatedPort
 from ursnav_torch.simulation.rosserial_board import RosserialBoard
-
-DRIVER = """
-import ctypes, sys, time
-from ursnav_torch.devices import {kind}, JointRates
-robot = {kind}({port})
-robot.connect()
-robot.arm()
-print("driving", flush=True)
-begun = time.monotonic()
-while True:
-    robot.command(JointRates(0.0, 0.0, 8.0), True)
-    time.sleep(0.02)
-    if {hold} and time.monotonic() - begun > 0.6:
-        ctypes.PyDLL(None).usleep(2_000_000)  # holds the interpreter's lock
-"""
 
 
 @pytest.fixture
@@ -104,29 +93,12 @@ def scene(request):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["stopped", "killed", "interpreter held"])
-def test_a_program_frozen_at_8_mm_a_second_moves_no_farther_than_it_may(scene, how):
-    kind, ports, board, place = scene
-    code = DRIVER.format(kind=kind, port=ports, hold=how == "interpreter held")
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout.readline() == "driving\n"
-        assert wait_until(lambda: board.moving and place() > 1.0, 5.0)
-        if how == "interpreter held":
-            assert wait_until(lambda: not board.moving, 5.0)
-            stood = place()
-            time.sleep(0.5)
-            assert place() == stood and process.poll() is None
-            return
-        at, begun = place(), time.monotonic()
-        process.send_signal(signal.SIGSTOP if how == "stopped" else signal.SIGKILL)
-        assert wait_until(lambda: not board.moving, 2.0)
-        print(f"{kind} {how}: moved on for {time.monotonic() - begun:.3f} s, {place() - at:.2f} mm")
-        assert place() - at < 1.5  # 1.2 mm, and what was made between looking and freezing
-    finally:
-        process.kill()
-        process.stdout.close()
-        process.wait()
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("how", WAYS)
+def test_a_program_frozen_at_8_mm_a_second_moves_no_farther_than_it_may(kind, how):
+    seconds, mm = freeze(kind, how, random.Random(f"{kind}/{how}"))
+    print(f"{kind} {how}: moved on for {seconds:.3f} s, {mm:.2f} mm")
+    assert mm <= SPEED_MM_S * BLIND_S and seconds <= BLIND_S + SEEN_S
 
 
 @pytest.mark.slow
