@@ -1,8 +1,12 @@
 """Work shared with child processes gives what it gives in one, in the same order."""
 
+import re
+from pathlib import Path
+
 import pytest
 import torch
 
+import ursnav_torch
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.processes import in_order, spare_children
 
@@ -49,3 +53,10 @@ class Dier:
 
 def test_one_core_is_kept_for_the_process_that_asks() -> None:
     assert (spare_children(4), spare_children(1)) == (3, 0) and spare_children() >= 0
+
+
+def test_pickle_is_in_no_other_file_of_the_package() -> None:
+    """SECURITY.md: only work for children of our own goes that way; no file and no message is ever unpickled."""
+    texts = {p.name: p.read_text("utf-8") for p in Path(ursnav_torch.__file__).parent.rglob("*.py")}
+    library = re.compile(r"(import|from) (pickle|dill|joblib|shelve|marshal)|torch\.load\(|allow_pickle=True")
+    assert [name for name, text in texts.items() if library.search(text)] == ["processes.py"]
