@@ -5,6 +5,9 @@
     python -m benchmarks.flights work=DIR data=DIR              # the kidneys in DIR judge, too
     python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
     python -m benchmarks.flights work=DIR other=true            # every flight in the next kidney's VID: ends lost?
+    python -m benchmarks.flights work=DIR odometry=true         # with what the robot reports
+    python -m benchmarks.flights work=DIR half=choosing fit=true          # how far off poses are, learned anew
+    python -m benchmarks.flights work=DIR half=choosing fit=true save=true    # and stored with the package
 
 Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
 change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only.
@@ -20,11 +23,12 @@ from benchmarks.shared.flights import CHOOSING, JUDGING, flown, population, vid_
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.track_records import Choice, Record, tracked
 from benchmarks.shared.track_scores import add_refusals, add_scores
+from benchmarks.shared.track_weights import fit_position
 from ursnav_torch.errors import InputError
 
 SETTINGS = {
     "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
-    "other": False,
+    "other": False, "odometry": False, "fit": False, "save": False,
     "only": "", "out": "",
 }  # fmt: skip
 
@@ -36,11 +40,13 @@ def main(arguments: list[str]) -> None:
         raise InputError(f"half={settings['half']!r} is no half of the flights; give {CHOOSING} or {JUDGING}.")
     if settings["vary"] and settings["half"] != CHOOSING:
         raise InputError(f"vary= chooses a setting, which the {JUDGING} half must not see; give half={CHOOSING}.")
+    if settings["fit"] and settings["half"] != CHOOSING:
+        raise InputError(f"fit= learns, which the {JUDGING} half must not be used for; give half={CHOOSING}.")
     report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         choices = [
-            Choice(other=settings["other"]),
+            Choice(other=settings["other"], odometry=settings["odometry"]),
             *Choice.varied(settings["vary"]),
         ]
         records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
@@ -48,6 +54,8 @@ def main(arguments: list[str]) -> None:
             records[choice].append(record)
     for choice, found in records.items():
         (add_refusals if choice.other else add_scores)(report, str(choice), found)
+    if settings["fit"]:
+        fit_position(report, records[choices[0]], settings["save"])
     report.finish(settings["out"])
 
 

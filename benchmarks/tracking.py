@@ -99,13 +99,14 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     beside = Instruments((lambda m: readings[m.frame]) if readings else None)
     for _, last in follow(tracker, source, beside):
         answers.append(last)
-        if last.T_kidney_camera is not None and np.isfinite(last.score):
+        if last.T_kidney_camera is not None and last.is_settled:
             coverage.add(last.T_kidney_camera, 0.1)
     rate = len(answers) / (time.perf_counter() - start)
     for pose in T[: len(answers)]:
         truth.add(pose, 0.1)
     on = np.array([a.state == TRACKING for a in answers])
-    poses = np.array([np.full((4, 4), np.nan) if a.T_kidney_camera is None else a.T_kidney_camera for a in answers])
+    nowhere = np.full((4, 4), np.nan)
+    poses = np.array([a.T_kidney_camera if a.state == TRACKING else nowhere for a in answers])
     errors = pose_errors(poses, T[: len(on)])
     apart = errors.position_mm
     labeled = [i for i, name in enumerate(exploration.calyx[: len(on)]) if name]

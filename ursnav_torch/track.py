@@ -67,7 +67,7 @@ def _em_readings(config: Any, bounds_mm: Any) -> tuple[Any, str]:
 
 def _odometry(config: Any) -> Any:
     """The robot's recorded reports, None without any."""
-    from ursnav_torch.runs.odometry import recorded_odometry
+    from ursnav_torch.runs.sources import recorded_odometry
 
     if config.odometry is None:
         return None

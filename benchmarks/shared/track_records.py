@@ -16,6 +16,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
+from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
@@ -33,11 +34,12 @@ _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracki
 class Choice:
     """Settings of a track: overrides of the `Tracker`'s groups by name, as ``(group, name, value)``.
 
-    ``other`` says that the VID is another kidney's.
+    ``other`` says that the VID is another kidney's, ``odometry`` that the robot is heard.
     """
 
     overrides: tuple[tuple[str, str, float], ...] = ()
     other: bool = False
+    odometry: bool = False
 
     @classmethod
     def varied(cls, text: str) -> list["Choice"]:
@@ -62,7 +64,7 @@ class Choice:
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]
-        parts += ["in another kidney's VID"] * self.other
+        parts += ["in another kidney's VID"] * self.other + ["with odometry"] * self.odometry
         return ", ".join(parts)
 
 
@@ -109,7 +111,8 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
 
 def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]:
     for i, features in enumerate(features_of(seen, tracker)):
-        yield tracker.follow(features, float(seen.flight.t_s[i]))
+        joints = OdometryReading(*seen.flight.odometry[i].tolist()) if choice.odometry else None
+        yield tracker.follow(features, float(seen.flight.t_s[i]), odometry=joints)
 
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
@@ -149,7 +152,7 @@ def _told(answer: Tracked) -> list[float]:
 
 
 def _sources(rooms: tuple[str, ...]) -> str:
-    """A fingerprint of the code of some rooms."""
+    """A fingerprint of the code of some rooms, and of what they learned."""
     root = Path(ursnav_torch.__file__).parent
-    files = sorted(p for room in rooms for p in (root / room).rglob("*.py"))
+    files = sorted(p for room in rooms for p in (root / room).rglob("*") if p.suffix in (".py", ".json"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.shared.results import Report
-from benchmarks.shared.track_records import Record
+from benchmarks.shared.track_records import TOLD, Record
+from ursnav_torch.tracking.certainty import REGION_90
 from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]
@@ -25,6 +26,9 @@ def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
     )
     report.add(group, "position", "mm", off[known].tolist())
     report.add(group, "position, 90th percentile", "mm", [float(np.percentile(off[known], 90))], n=int(on.sum()))
+    region = REGION_90 * np.concatenate([r.told[:, TOLD.index("sd_mm")] for r in records])
+    held = off[known] <= region[known]
+    report.add(group, "90 % region holds the truth", "%", [100 * float(held.mean())], n=int(known.sum()))
     turned = np.concatenate([r.turned_deg for r in records])
     report.add(group, "direction", "deg", turned[known].tolist())
     right = np.concatenate([(r.calyx == r.true_calyx)[(r.true_calyx >= 0) & (r.state == TRACKING)] for r in records])

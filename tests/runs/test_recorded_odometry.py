@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.runs.odometry import recorded_odometry
+from ursnav_torch.runs.sources import recorded_odometry
 from ursnav_torch.tracking.follow import Moment
 
 

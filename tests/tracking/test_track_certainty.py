@@ -1,5 +1,7 @@
 """What a track says of its own answers: the calyces left, and how far off a pose may be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,19 @@ def test_what_nobody_saw_makes_errors_larger() -> None:
     assert later.of(0).calyces[0] == 0 and sorted(later.of(0).calyces) == sorted(told.calyces)
 
 
+def test_a_sensor_makes_a_pose_surer_and_never_less() -> None:
+    """Two of three points of a Gaussian in space lie within 1.88 of an axis's standard deviations."""
+    told = track_certainty(evidence(score=0.0), WEIGHTS, 0.95, 1.0)
+    assert told.sensed(1e9).position_sd_mm == pytest.approx(told.position_sd_mm)
+    assert replace(told, position_sd_mm=1e9).sensed(0.5).position_sd_mm == pytest.approx(0.94)
+    assert told.sensed(0.5).position_sd_mm < 0.94
+
+
+def test_the_region_that_holds_nine_of_ten_is_wider_than_that_of_two_of_three() -> None:
+    told = track_certainty(evidence(), WEIGHTS, 0.95, 1.0)
+    assert 1.3 < told.region_mm / told.position_sd_mm < 2.5
+
+
 def test_two_ways_leave_what_both_leave() -> None:
     one = track_certainty(evidence(), WEIGHTS, LEVELS[8], 1.0)
     other = track_certainty(evidence(score=0.9), WEIGHTS, LEVELS[6], 1.0)
@@ -66,3 +81,5 @@ def test_two_ways_leave_what_both_leave() -> None:
 def test_refusals() -> None:
     with pytest.raises(InputError, match="0 < set_probability < 1"):
         TrackCertaintySettings(1.0)
+    with pytest.raises(InputError, match="largest_mm > 0, got 0"):
+        TrackCertaintySettings(largest_mm=0)

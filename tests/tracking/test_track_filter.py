@@ -74,6 +74,8 @@ def test_white_pictures_are_bridged_but_not_for_ever(
     answers = [fresh.step(white, (len(poses) + i) / 10) for i in range(15)]
     assert answers[2].state == TRACKING and off_mm(answers[2:3], poses[-1:])[0] < 3.0
     assert np.isnan(answers[2].score)
+    assert answers[6].state == SEARCHING, "a pose that nobody has seen for so long may be anywhere near"
+    assert answers[6].T_kidney_camera is not None and not answers[6].is_settled
     confidence = [a.confidence for a in answers[:9]]
     assert confidence == sorted(confidence, reverse=True)
     assert answers[-1].state == SEARCHING and answers[-1].T_kidney_camera is None

@@ -238,7 +238,8 @@ class Navigator:
     def _publish(self, seen: _Seen, tracked: Tracked, begun: float) -> None:
         """Put a picture's pose on the bus and its row among the results."""
         job = seen.job
-        T, names = tracked.T_kidney_camera, _names(tracked, self.vid)
+        certain = tracked.state == TRACKING  # what is only searched about is on the record, not before the operator
+        T, names = tracked.T_kidney_camera if certain else None, _names(tracked, self.vid)
         if T is not None:
             self._trail.add(T[:3, 3])
         now, level = time.monotonic(), self._governor.level
@@ -253,7 +254,7 @@ class Navigator:
                     **_shown(seen.features, tracked),
                     tracking=tracked.state,
                     T_kidney_camera=T,
-                    calyx=self.vid.calyx_name(tracked.calyx),
+                    calyx=self.vid.calyx_name(tracked.calyx) if certain else "",
                     calyces=names,
                     confidence=float(tracked.confidence),
                     path_mm=self._trail.points(),
@@ -359,9 +360,10 @@ def _row(job: _Job, tracked: Tracked, calyces: tuple[str, ...], latency: Latency
     row: dict[str, Any] = {"t_s": job.frame.stamp.t_mono_s, "state": tracked.state, "accepted": False}
     if tracked.T_kidney_camera is not None:
         row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
+        row |= {"calyces": "|".join(calyces)}
+    if tracked.state == TRACKING:
         calyx = "" if calyces[0] == NO_CALYX else calyces[0]
         row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}
-        row |= {"calyces": "|".join(calyces)}
     seconds = {"waiting_s": latency.waiting_s, "features_s": latency.features_s, "tracking_s": latency.tracking_s}
     seconds["latency_s"] = latency.total_s
     return row | {k: round(v, 4) for k, v in seconds.items()} | {"effort": effort}

@@ -1,4 +1,4 @@
-"""Where pictures come from: video files, folders, cameras."""
+"""Where pictures come from: video files, folders, cameras; and what a robot reported beside them."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,10 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.columns import ODOMETRY_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import IMAGE_SUFFIXES, read_image
 from ursnav_torch.files import natural_key
+from ursnav_torch.tables import numbers, read_csv
 from ursnav_torch.tracking.follow import Moment, Source
+from ursnav_torch.tracking.odometry import OdometryReading
+
+#: Between two reports of a robot farther apart than this it said nothing.
+LONGEST_GAP_S = 0.5
 
 
 def open_source(path: Path, fps: float = 10.0) -> Source:
@@ -127,3 +133,32 @@ def _folder(path: Path, fps: float) -> Source:
 
 def _names(folder: Path) -> list[str]:
     return sorted((p.name for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural_key)
+
+
+def recorded_odometry(path: Path) -> Callable[[Moment], OdometryReading | None]:
+    """The joints at a picture's time, from a CSV file ``t_s,insertion_mm,bend_x_deg,bend_y_deg``.
+
+    Between two reports the joints are interpolated; where the robot said nothing for half a second there is none.
+
+    Raises:
+        InputError: the file cannot be read, holds something that is no number, or its times do not rise.
+    """
+    rows = read_csv(path, ODOMETRY_COLUMNS, "odometry")
+    table = numbers(rows, ODOMETRY_COLUMNS)
+    t_s, joints = table[:, 0], table[:, 1:] * [1.0, np.pi / 180, np.pi / 180]
+    stays = np.flatnonzero(np.diff(t_s) <= 0)
+    if len(stays):
+        at = int(stays[0])
+        raise InputError(
+            f"{path}: t_s must rise from row to row, but {t_s[at + 1]:g} s in data row {at + 2} follows {t_s[at]:g} s. "
+            "Sort the rows by time, and keep one row a time."
+        )
+
+    def reading(moment: Moment) -> OdometryReading | None:
+        after = int(np.searchsorted(t_s, moment.t_s))
+        around = t_s[max(after - 1, 0) : after + 1]
+        if np.abs(around - moment.t_s).min() > LONGEST_GAP_S or np.ptp(around) > LONGEST_GAP_S:
+            return None
+        return OdometryReading(*(float(np.interp(moment.t_s, t_s, column)) for column in joints.T))
+
+    return reading

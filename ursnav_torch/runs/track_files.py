@@ -27,7 +27,7 @@ class TrackFile:
     Attributes:
         frame: (N,) numbers of the pictures.
         t_s: (N,) when they were taken.
-        T_kidney_camera: (N, 4, 4), nan where there is none.
+        T_kidney_camera: (N, 4, 4), nan unless tracking: a pose that is searched about is none.
         calyx: of each, blank for none.
         state: of each.
     """
@@ -47,7 +47,7 @@ def read_track(path: Path) -> TrackFile:
     """
     rows = read_csv(path, ("frame", "t_s", "calyx", *POSE_COLUMNS, "state"), "track")
     T = np.full((len(rows), 4, 4), np.nan)
-    known = [i for i, row in enumerate(rows) if row["x_mm"].strip()]
+    known = [i for i, row in enumerate(rows) if row["x_mm"].strip() and row["state"] == TRACKING]
     if known:
         T[known] = poses_from_rows([rows[i] for i in known])
     frame, t_s = np.array([whole_number(row, "frame") for row in rows]), np.array([number(row, "t_s") for row in rows])

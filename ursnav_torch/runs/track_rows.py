@@ -5,7 +5,7 @@ from typing import Any
 
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.tracking.follow import Moment
-from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import pose_cells
 
 
@@ -26,10 +26,11 @@ def track_rows(
 
 
 def track_row(moment: Moment, tracked: Tracked, tracker: Tracker) -> dict[str, Any]:
-    """The columns of one answer; pose and calyx are blank unless tracking."""
+    """The columns of one answer; the calyx is blank unless tracking, the pose where nothing is known."""
     row: dict[str, Any] = {"frame": moment.frame, "t_s": moment.t_s, "state": tracked.state}
     if tracked.T_kidney_camera is not None:
         row |= pose_cells(tracked.T_kidney_camera[None])[0]
+    if tracked.state == TRACKING:
         row |= {"calyx": tracker.vid.calyx_name(tracked.calyx), "confidence": float(tracked.confidence)}
     if tracked.certainty is not None:
         sure = tracked.certainty

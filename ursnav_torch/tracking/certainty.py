@@ -15,6 +15,11 @@ from ursnav_torch.tracking.motion import Hypotheses
 Array = NDArray[np.float64]
 #: Added to a spread before its logarithm is taken, mm and degrees: hypotheses are no finer.
 _FINEST_MM, _FINEST_DEG = 0.1, 1.0
+#: Standard deviations within which nine of ten positions are; errors have heavier tails than a Gaussian's. On flights
+#: of phantoms that the weights were not learned from, ``python -m benchmarks.flights half=choosing fit=true``.
+REGION_90 = 1.84
+#: Radius, in standard deviations of an axis, within which two of three points of a Gaussian in space are (chi, 3).
+_RADIUS_SD = 1.88
 #: Before anything was learned: a twentieth of the hypotheses' probability keeps a calyx in the set, and errors fall
 #: from about 1 mm and 6 degrees at a score of 0.4 to a third of that at 0.9.
 UNLEARNED = TrackWeights((0.05,) * len(LEVELS), (0.9, -2.2, 0.1), (2.7, -2.2, 0.1))
@@ -22,15 +27,21 @@ UNLEARNED = TrackWeights((0.05,) * len(LEVELS), (0.9, -2.2, 0.1), (2.7, -2.2, 0.
 
 @dataclass(frozen=True, slots=True)
 class TrackCertaintySettings:
-    """Which calyces a track leaves.
+    """Which calyces a track leaves, and when it is at a place.
 
     Attributes:
         set_probability: with which they hold the right one.
+        largest_mm: a region that holds the position with 90 % and reaches farther than this from the pose is no place.
+            On the choosing flights, where 15 % of the poses are more than 3 mm off, 6 mm keep 81 % of them, 2.6 % of
+            these too far off; 3 mm keep 75 %, 2.0 % too far off; 10 mm 85 %, 4.5 % (`benchmarks.flights` fit=true).
     """
 
     set_probability: float = 0.95
+    largest_mm: float = 6.0
 
     def __post_init__(self) -> None:
+        if not self.largest_mm > 0:
+            raise InputError(f"Expected largest_mm > 0, got {self.largest_mm}.")
         if not 0 < self.set_probability < 1:
             raise InputError(f"Expected 0 < set_probability < 1, got {self.set_probability}.")
 
@@ -72,6 +83,16 @@ class TrackCertainty:
     position_sd_mm: float
     direction_sd_deg: float
     evidence: TrackEvidence
+
+    @property
+    def region_mm(self) -> float:
+        """Radius of the region about the pose that holds the position with 90 %."""
+        return REGION_90 * self.position_sd_mm
+
+    def sensed(self, sigma_mm: float) -> "TrackCertainty":
+        """The same with a sensor's word on the position, an axis's standard deviation of which is ``sigma_mm``."""
+        within = _RADIUS_SD * sigma_mm
+        return replace(self, position_sd_mm=float(1 / np.hypot(1 / self.position_sd_mm, 1 / within)))
 
     def later(self, mm: float, deg: float) -> "TrackCertainty":
         """The same after a motion that nobody saw, by its standard deviations."""

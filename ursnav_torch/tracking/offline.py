@@ -25,7 +25,7 @@ from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
-from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
+from ursnav_torch.tracking.tracker import SEARCHING, Tracked, Tracker
 
 Array = NDArray[np.float64]
 
@@ -102,9 +102,9 @@ def join(
     """
     answers = []
     for f, b in zip(forward, backward, strict=True):
-        seen = b if b.state == TRACKING or not (f.state == TRACKING and b.state == SEARCHING) else f
+        seen = b if _is_followed(b) or not (_is_followed(f) and b.state == SEARCHING) else f
         answers.append(replace(seen, seconds=f.seconds + b.seconds))
-    for start, stop in _stretches([a.state == TRACKING for a in answers]):
+    for start, stop in _stretches([_is_followed(a) for a in answers]):
         here = slice(start, stop)
         measured = _chosen(forward[here], backward[here], t_s[here], tracker, readings[here])
         if not any(measured):  # bridged from a place that hindsight does not believe
@@ -131,12 +131,19 @@ def _smoothed(
     calyces = observed_calyx(np.stack(poses), tracker.vid.kidney, tracker.lumen).tolist()
     result = []
     for answer, both, m, T, calyx in zip(answers, ways, measured, poses, calyces, strict=True):
-        believed = [a for a in both if a.state == TRACKING]
+        believed = [a for a in both if _is_followed(a)]
         agree = [a.confidence if a.calyx == calyx else 1 - a.confidence for a in believed]
         sure = joined_certainty([a.certainty for a in believed if a.certainty is not None], calyx)
-        moved = replace(answer, T_kidney_camera=T, calyx=calyx, confidence=float(np.mean(agree)), certainty=sure)
+        state = answer.state if sure is None else tracker.state_at(sure)
+        confidence = float(np.mean(agree))
+        moved = replace(answer, state=state, T_kidney_camera=T, calyx=calyx, confidence=confidence, certainty=sure)
         result.append(moved if m is None else replace(moved, score=m.score, T_aligned=m.T_kidney_camera))
     return result
+
+
+def _is_followed(answer: Tracked) -> bool:
+    """Whether there is a pose, sure enough to be a place or not."""
+    return answer.T_kidney_camera is not None
 
 
 def _recalled(tracker: Tracker, there: Sequence[_Followed], spool: IO[bytes]) -> Iterator[Features | None]:

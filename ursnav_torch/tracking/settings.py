@@ -39,7 +39,9 @@ class FilterSettings:
         same_place_mm, same_place_deg: hypotheses within both of the best are one place; their weighted mean is the
             pose.
         incumbent_share: probability of the track's own pose beside the views'.
-        bridge_s: pictures that show nothing are bridged for this long.
+        bridge_s: pictures that show nothing are bridged for this long, or longer where a robot tells of its motion.
+        drift_mm_s: standard deviation of where the scope goes meanwhile: of 82 pictures bridged on the choosing flights
+            two of three were within 0.5, 0.7 and 1.9 mm after 0.1, 0.2 and 0.35 s.
     """
 
     likelihood_scale: float = 0.15
@@ -49,6 +51,7 @@ class FilterSettings:
     same_place_deg: float = NEAR_DEG
     incumbent_share: float = 0.5
     bridge_s: float = 1.0
+    drift_mm_s: float = 5.0
 
     def __post_init__(self) -> None:
         if not 0 < self.best_fitting < self.hypotheses or self.likelihood_scale <= 0:

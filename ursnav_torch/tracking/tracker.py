@@ -55,8 +55,9 @@ class Tracked:
     """One picture's answer.
 
     Attributes:
-        state: ``tracking``, ``searching`` (no place leads yet) or ``lost`` (nothing fits as it should).
-        T_kidney_camera: (4, 4), or None unless tracking.
+        state: ``tracking``, ``searching`` (no place leads yet, or the pose may be too far off to be one) or ``lost``
+            (nothing fits as it should).
+        T_kidney_camera: (4, 4) while tracking, or while searching about it; else None.
         calyx: index of the calyx observed, -1 for none.
         confidence: probability of that calyx among the hypotheses.
         fit: of the best hypothesis to the picture, nan where that showed nothing.
@@ -65,7 +66,7 @@ class Tracked:
         T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
             showed nothing.
         evidence: what the picture said on whether this is the kidney; None likewise.
-        certainty: the calyces that it may be, and how far off the pose may be; None unless tracking.
+        certainty: the calyces that it may be, and how far off the pose may be; None without a pose.
         places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses, to be looked at.
     """
 
@@ -290,10 +291,17 @@ class Tracker:
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
+        if sensor is not None and sensor.camera_at(T) is not None:
+            self._sure = self._sure.sensed(sensor.sigma_mm)
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
         aligned, places = refined.T_kidney_camera, likeliest_places(found)
-        return Tracked(TRACKING, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places)
+        state = self.state_at(self._sure)
+        return Tracked(state, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places)
+
+    def state_at(self, sure: TrackCertainty) -> str:
+        """``tracking`` while a pose in this kidney is sure enough to be a place, else ``searching``."""
+        return TRACKING if sure.region_mm <= self.settings.certainty.largest_mm else SEARCHING
 
     def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:
         """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""
@@ -360,7 +368,8 @@ class Tracker:
 
     def _bridge(self, t_s: float, start: float) -> Tracked:
         """The answer to a picture that shows nothing: where motion leads, for a while."""
-        if self._state == TRACKING and t_s - self._seen_s > self.settings.filter.bridge_s:
+        blind = t_s - self._seen_s > self.settings.filter.bridge_s and self._carried is None
+        if self._state == TRACKING and blind:
             self._state = SEARCHING
             self._smooth.reset()
         T = self._smooth.predict(t_s, self._step) if self._state == TRACKING else None
@@ -369,7 +378,10 @@ class Tracker:
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.filter.bridge_s) / (1 + np.exp(-self._test.trust))
         away = t_s - self._seen_s
-        motion, sure = self.settings.motion, self._sure
-        sure = None if sure is None else sure.later(motion.speed_mm_s * away, motion.turn_deg_s * away).of(calyx)
+        mm, deg = self.settings.filter.drift_mm_s * away, self.settings.motion.turn_deg_s * away
+        if self._carried is not None:
+            mm, deg = self._carried.sd_mm, float(np.degrees(self._carried.sd_rad))
+        sure = None if self._sure is None else self._sure.later(mm, deg).of(calyx)
+        state = TRACKING if sure is None else self.state_at(sure)
         spent = time.perf_counter() - start
-        return Tracked(TRACKING, T, calyx, confidence, np.nan, np.nan, spent, certainty=sure)
+        return Tracked(state, T, calyx, confidence, np.nan, np.nan, spent, certainty=sure)
