@@ -67,7 +67,7 @@ def _vid(config: Any, out: Path, overwrite: bool, steps: Any) -> tuple[Any, Any,
     from omegaconf import OmegaConf
 
     from ursnav_torch.localization import learn_confidence
-    from ursnav_torch.processes import spare_children
+    from ursnav_torch.processes import busy_children
     from ursnav_torch.runs.demo import demo_vid
     from ursnav_torch.vid import build_vid, load_vid
 
@@ -78,7 +78,7 @@ def _vid(config: Any, out: Path, overwrite: bool, steps: Any) -> tuple[Any, Any,
 
     def learn(vid: Any, progress: Any) -> dict[str, object]:
         steps.begin("Learning from other pictures how far answers in this kidney can be trusted")
-        count, children = config.queries_per_calyx, spare_children(config.workers)
+        count, children = config.queries_per_calyx, busy_children(config.workers)
         return learn_confidence(vid, make_renderer, plan, count, progress, children=children)
 
     steps.begin("Drawing views of the kidney, and reducing each to what can be compared")

@@ -28,6 +28,12 @@ def spare_children(workers: int | None = None) -> int:
     return max((workers or os.cpu_count() or 1) - 1, 0)
 
 
+def busy_children(workers: int | None = None) -> int:
+    """How many children may work while this process has little to do: all cores, 0 where there is one."""
+    spare = spare_children(workers)
+    return spare + 1 if spare else 0
+
+
 def in_order(make: Callable[[], Callable[[Task], Result]], tasks: Iterable[Task], children: int) -> Iterator[Result]:
     """Yield ``make()(task)`` of every task, in their order.
 

@@ -10,13 +10,16 @@ A    geometry that a file lacks is filled in        segmentation/test_scan_heade
 B    a lens is not checked for sense                camera/test_lens_files: folds, another resolution, columns
                                                     for rows, skew, radians, distortion in others' words
 C    EM tables are joined and trusted blindly       em_log/test_read_em and test_join: units, clocks, numbers
-                                                    from 1, a clock that jumps back, -1 and 999, frozen readings
+                                                    from 1, a clock that jumps back, -1 and 999, frozen readings;
+                                                    test_plausible: units that the columns lie about, clocks that
+                                                    stand, wrap, are set, two sensors, frame numbers of others
 D    trackers' words for "not seen"                 devices/test_openigtlink, test_ndi, test_ros, test_wire,
                                                     em_log/test_sequence
 E    "truncated" is guessed                         segmentation/test_dicom: three compressions, reports,
-                                                    enhanced files; test_scan_headers: slopes, packed by name
-F    several things in one file                     features/test_image: pages; segmentation/test_ct_read:
-                                                    phases, series, values a voxel; camera: two cameras
+                                                    enhanced files; test_scan_headers: slopes, packed by name;
+                                                    features/test_image: bytes behind a picture's end
+F    several things in one file                     features/test_image: pages, MPO, animated PNG; segmentation:
+                                                    phases, series, patients, values a voxel; camera: two cameras
 G    the wrong cause is named                       devices/test_grbl: greetings, axes; kidney/test_mesh_kidney:
                                                     bytes after; segmentation/test_ct_markups: units; separators
 ==== ============================================= ===========================================================

@@ -8,7 +8,7 @@ import torch
 
 import ursnav_torch
 from ursnav_torch.errors import InputError, UrsnavError
-from ursnav_torch.processes import in_order, spare_children
+from ursnav_torch.processes import busy_children, in_order, spare_children
 
 
 class Halver:
@@ -53,6 +53,7 @@ class Dier:
 
 def test_one_core_is_kept_for_the_process_that_asks() -> None:
     assert (spare_children(4), spare_children(1)) == (3, 0) and spare_children() >= 0
+    assert (busy_children(4), busy_children(1)) == (4, 0), "and none where it has little to do"
 
 
 def test_pickle_is_in_no_other_file_of_the_package() -> None:

@@ -13,7 +13,7 @@ from ursnav_torch.files import Progress, no_progress, whole_folder
 from ursnav_torch.navigation.effort import Governor
 from ursnav_torch.navigation.navigator import Navigator
 from ursnav_torch.navigation.run import run_navigation
-from ursnav_torch.processes import in_order, spare_children
+from ursnav_torch.processes import busy_children, in_order
 from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
 from ursnav_torch.session import Recorder, Replay
 from ursnav_torch.simulation.flight import FlightSettings, fly
@@ -67,7 +67,7 @@ def _images(
     vid: Vid, make_renderer: MakeRenderer, T_kidney_camera: NDArray[np.float64], workers: int | None
 ) -> Iterator[NDArray[np.uint8]]:
     """The pictures (H, W, 3) of poses (N, 4, 4), each with its own noise and all with the same faults."""
-    children = 0 if spare_children(workers) == 0 else spare_children(workers) + 1
+    children = busy_children(workers)
     return in_order(partial(_Scope, vid, make_renderer), enumerate(T_kidney_camera), children)
 
 

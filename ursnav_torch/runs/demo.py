@@ -16,7 +16,7 @@ from ursnav_torch.files import Progress, no_progress, whole_folder, write_csv, w
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import LEARNED_FROM, Localizer, Query, queries_from
 from ursnav_torch.locks import locked, partial_path
-from ursnav_torch.processes import in_order, spare_children
+from ursnav_torch.processes import busy_children, in_order
 from ursnav_torch.records import read_json
 from ursnav_torch.runs.match import match_images
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, load_vid, plan_views, pose_cells
@@ -106,8 +106,7 @@ def run_demo(
         truth = {name: vid.calyx_name(q.calyx) for name, q in queries.items()}
         begin("Locating them, and writing a page about each")
         folders = str(work / "images"), work / "matches.csv", work / "report"
-        children = spare_children(workers)
-        rows = match_images(Localizer(vid), *folders, True, progress, truth, children)
+        rows = match_images(Localizer(vid), *folders, True, progress, truth, busy_children(workers))
     return _scores(vid, queries, rows)
 
 
@@ -128,10 +127,9 @@ def _draw_queries(
     views = plan_views(vid.kidney, vid.lumen, alike)
     firsts = range(0, len(views.calyx), DRAWN_AT_ONCE)
     parts = [(i, views.T_kidney_camera[i : i + DRAWN_AT_ONCE], views.calyx[i : i + DRAWN_AT_ONCE]) for i in firsts]
-    children = 0 if spare_children(workers) == 0 else spare_children(workers) + 1  # this process has little to do
     queries: dict[str, Query] = {}
     with progress(len(views.calyx), "pictures drawn") as advance:
-        for drawn in in_order(partial(_Draughtsman, vid, make_renderer, alike.seed), parts, children):
+        for drawn in in_order(partial(_Draughtsman, vid, make_renderer, alike.seed), parts, busy_children(workers)):
             for query in drawn:
                 name = f"{len(queries):03d}_{query.preset}.png"
                 write_image(images / name, query.image)
