@@ -51,7 +51,16 @@ def simulated_drive(seed: int, seconds: float = 120.0) -> tuple[Array, Array, Em
     position = apply(T_em_kidney, sensor) + rng.normal(0, 0.7 / np.sqrt(3), sensor.shape)
     heading = T_read[:, :3, :3] @ axis @ T_em_kidney[:3, :3].T + rng.normal(0, np.radians(0.6), (len(clock), 3))
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    return _tracked(T, rng), t_s, EmSamples(position, heading, clock + ahead), offset, axis, ahead
+    tracked = _tracked(T, rng)
+    shaken = Rotation.from_rotvec(rng.normal(0, np.radians(0.6), (len(clock), 3)))
+    turned = Rotation.from_matrix(T_em_kidney[:3, :3] @ T_read[:, :3, :3] @ sensor_on_camera(axis)) * shaken
+    samples = EmSamples(position, heading, clock + ahead, quaternion=turned.as_quat())
+    return tracked, t_s, samples, offset, axis, ahead
+
+
+def sensor_on_camera(axis: Array) -> Array:
+    """(3, 3) orientation of a simulated sensor with six degrees of freedom: its z along ``axis`` (3,)."""
+    return np.asarray(Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])[0].as_matrix())
 
 
 def _tracked(T: Array, rng: np.random.Generator) -> Array:
@@ -80,7 +89,10 @@ def _gone_astray(T: Array, rng: np.random.Generator, share: float) -> Array:
 
 
 def simulated(first: int, seconds: float, astray: float = 0.0) -> Array:
-    """Misses in mm, degrees and ms, and the place's and offset's in standard deviations, of every session (20, 5)."""
+    """Misses in mm, degrees and ms, and the place's and offset's in standard deviations, of every session (20, 6).
+
+    The last is a sensor's orientation, of six degrees of freedom, in degrees.
+    """
     rows = []
     for seed in range(first, first + _SESSIONS):
         T, t_s, samples, offset, axis, ahead = simulated_drive(seed, seconds)
@@ -89,7 +101,12 @@ def simulated(first: int, seconds: float, astray: float = 0.0) -> Array:
         miss, late = found.offset_mm - offset, found.em_offset_s - ahead
         angle = np.degrees(np.arccos(np.clip(found.axis @ axis, -1, 1)))
         sigmas = float(np.sqrt(np.mean((miss / found.offset_sd_mm) ** 2)))
-        rows.append([float(np.linalg.norm(miss)), angle, abs(late) * 1e3, sigmas, abs(late) / found.em_offset_sd_s])
+        assert found.R_camera_sensor is not None
+        turned = Rotation.from_matrix(found.R_camera_sensor.T @ sensor_on_camera(axis)).magnitude()
+        rows.append([
+            float(np.linalg.norm(miss)), angle, abs(late) * 1e3, sigmas, abs(late) / found.em_offset_sd_s,
+            np.degrees(turned),
+        ])  # fmt: skip
     return np.array(rows)
 
 
@@ -129,7 +146,9 @@ def main(arguments: list[str]) -> None:
     settings = overrides(SETTINGS, arguments)
     report = Report("hand_eye", settings | {"data": "", "work": ""})
     rows = simulated(int(settings["first"]), float(settings["seconds"]), float(settings["astray"]))
-    for name, unit, column in (("place", "mm", 0), ("axis", "deg", 1), ("clocks", "ms", 2)):
+    for name, unit, column in (
+        ("place", "mm", 0), ("axis", "deg", 1), ("clocks", "ms", 2), ("orientation, 6 DoF", "deg", 5),
+    ):  # fmt: skip
         report.add("sessions", name, unit, rows[:, column].tolist())
         report.add("worst of the sessions", name, unit, [float(rows[:, column].max())], n=len(rows))
     for name, column in (("place", 3), ("clocks", 4)):

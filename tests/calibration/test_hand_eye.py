@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.hand_eye import simulated_drive, supplied
+from benchmarks.hand_eye import sensor_on_camera, simulated_drive, supplied
 from ursnav_torch.calibration.hand_eye import calibrate_tip
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
 from ursnav_torch.devices import Stamp, TrackerSample
@@ -19,12 +19,22 @@ from ursnav_torch.runs.calibrate_tip import read_tip
 from ursnav_torch.session import Recorder, Result
 
 
+def angle_of(R: np.ndarray) -> float:
+    """Of a turn, degrees."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))))
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_place_axis_and_clock_are_found(seed: int) -> None:
     T, t_s, samples, offset, axis, ahead = simulated_drive(seed)
     found = calibrate_tip(T, t_s, samples)
     assert np.linalg.norm(found.offset_mm - offset) < 0.5
     assert np.degrees(np.arccos(found.axis @ axis)) < 1.0
+    assert found.R_camera_sensor is not None
+    assert angle_of(found.R_camera_sensor.T @ sensor_on_camera(axis)) < 1.0
+    five = calibrate_tip(T, t_s, replace(samples, quaternion=None))
+    assert five.R_camera_sensor is None
+    np.testing.assert_array_equal(five.offset_mm, found.offset_mm)
     assert abs(found.em_offset_s - ahead) < 0.010
     assert np.all(np.abs(found.offset_mm - offset) < 4 * found.offset_sd_mm)
 

@@ -129,6 +129,16 @@ def test_a_video_and_em_samples(run: Run, vid: Vid, video: Path, tmp_path: Path)
     em.write_text("t_s,x_mm,y_mm,z_mm\n" + "".join(f"{1000 + i / 10},{x},{y},{z}\n" for i in range(8)))
     refused = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'b.csv'}")
     assert refused.code == 1 and "0 of 8 pictures" in refused.err and "em_offset_s=" in refused.err
+    tip = tmp_path / "tip.json"
+    tip.write_text(json.dumps({"sensor_offset_mm": [0, 0, 8], "em_offset_s": 1000}))
+    given = [*arguments[:-1], f"em_to_kidney={registration}", f"tip={tip}", f"out={tmp_path / 't.csv'}"]
+    done = run("track", *given)
+    assert "8 of 8 pictures have an EM reading (by time)" in done.out, done.err
+    told = [[row[c] for c in POSE_COLUMNS] for row in read(tmp_path / "t.csv")]
+    assert told == [[row[c] for c in POSE_COLUMNS] for row in read(tmp_path / "a.csv")]
+    tip.write_text("{}")
+    refused = run("track", *given, "overwrite=true")
+    assert refused.code == 1 and "is no tip calibration" in refused.err
     registration.write_text(json.dumps({"R": np.eye(3).tolist(), "t_mm": [0, 0, 900]}))
     refused = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'b.csv'}", "em_offset_s=1000")
     assert refused.code == 1 and "mm outside the kidney" in refused.err
