@@ -15,7 +15,7 @@ import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints
 from ursnav_torch.devices.robots.kinematics import Drive
-from ursnav_torch.devices.robots.recent_orders import QueuedJogs
+from ursnav_torch.devices.robots.recent_orders import QueuedJogs, is_against
 from ursnav_torch.devices.robots.reset_watch import ASK_STATE, MARK, ResetWatch, is_mark
 from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
 from ursnav_torch.devices.robots.safety import STOPPED, Limits
@@ -52,8 +52,8 @@ GREETING = re.compile(r"Grbl(?:HAL)? (\d+\.\d+)", re.IGNORECASE)
 JOGGING, FLUIDNC = ("1.1", "1.2"), "[FluidNC"
 #: GRBL reports thousandths of a mm and rounds to its own steps.
 ROUNDING_MM = 0.005
-#: A place in doubt by less than what a horizon moves the slider at its cap is known well enough.
-DOUBT_MM = 1.0
+#: A place in doubt by what two horizons move the slider at its cap is known well enough: give or take 1 mm.
+DOUBT_MM = 2.0
 
 logger = logging.getLogger(__name__)
 
@@ -165,10 +165,13 @@ class GrblRobot(Robot):
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
         axes = self._axes_mm
         ahead = self.place.axes if axes is None else axes
-        if self._may_pass_a_limit(step, ahead, self._queued.unmade(now)):
+        back, forth = self._queued.unmade(now)
+        dropped = ahead - np.where(step > 0, back, forth)
+        if self._may_pass_a_limit(step, ahead, is_against(step, back, forth), dropped):
             return JointRates()
         end = ahead + step
-        self.place.sent(end)
+        for way in (end, dropped + step):  # the board may have been reset since it last told its mark
+            self.place.sent(way)
         self._resets.sent(step)
         self._queued.add(max(now, self._busy_until_s) + duration + ramp, step)
         self._jog(f"$J=G21G91{words}F{feed:.2f}")

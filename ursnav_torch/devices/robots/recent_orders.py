@@ -3,6 +3,7 @@
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ursnav_torch.geometry import Array
 
@@ -55,3 +56,8 @@ class QueuedJogs:
             self._jogs.popleft()
         steps = np.array([np.zeros(3), *(step for _, step in self._jogs)])
         return np.minimum(steps, 0.0).sum(axis=0), np.maximum(steps, 0.0).sum(axis=0)
+
+
+def is_against(step: Array, back: Array, forth: Array) -> NDArray[np.bool_]:
+    """(3,) which axes a motion by (3,) moves against motion that may go back and forth by (3,) each."""
+    return np.asarray(((step > 0) & (back < 0)) | ((step < 0) & (forth > 0)))

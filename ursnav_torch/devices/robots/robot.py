@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ursnav_torch.devices.base import CommandSample, Device, JointRates, Joints, RobotSample, Stamper
 from ursnav_torch.devices.robots.guardian import Guardian
@@ -250,7 +251,7 @@ class Robot(Device):
     def _read_axes(self, timeout_s: float) -> bool:
         """Take the controller's report to `place`; returns whether it moves."""
 
-    def _may_pass_a_limit(self, step: Array, ahead: Array, under_way: tuple[Array, Array]) -> bool:
+    def _may_pass_a_limit(self, step: Array, ahead: Array, opposed: NDArray[np.bool_], dropped: Array) -> bool:
         """Whether motion by (3,) axes would pass a limit if a reset dropped what it goes against; it must wait then.
 
         Who is sent back the way that he has never gone gets beyond where he came from. A limit is not passed by who
@@ -259,14 +260,12 @@ class Robot(Device):
         Args:
             step: the motion.
             ahead: where (3,) all that was sent ends.
-            under_way: how far back and forth (3,) the motion may go that the newest report does not tell.
+            opposed: (3,) which axes go against motion under way, see `recent_orders.is_against`.
+            dropped: where (3,) those would be had that been dropped.
         """
-        back, forth = under_way
-        opposed = ((step > 0) & (back < 0)) | ((step < 0) & (forth > 0))
         if not opposed.any():
             return False
-        from_there = np.where(opposed, self.place.axes + np.where(step > 0, forth, back), ahead)
-        end = self._joints_of(from_there + step)
+        end = self._joints_of(np.where(opposed, dropped, ahead) + step)
         bent = math.hypot(end.bend_x_rad, end.bend_y_rad)
         return bent > self.limits.max_bend_rad or not 0 <= end.insertion_mm <= self.limits.max_insertion_mm
 

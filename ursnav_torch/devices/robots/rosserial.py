@@ -15,7 +15,7 @@ import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints, Lamp, LightSample
 from ursnav_torch.devices.robots.kinematics import Drive
-from ursnav_torch.devices.robots.recent_orders import RecentOrders
+from ursnav_torch.devices.robots.recent_orders import RecentOrders, is_against
 from ursnav_torch.devices.robots.robot import BLIND_S, Robot
 from ursnav_torch.devices.robots.rosserial_packets import (
     INT32S,
@@ -160,7 +160,9 @@ class RosserialRobot(Robot):
         steps = np.trunc(axes * self.drive.steps_per_mm * seconds).astype(int)
         if seconds <= 0 or not steps.any():
             return JointRates()
-        if self._may_pass_a_limit(steps, self._reckon(), self._orders.unseen(time.monotonic())):
+        back, forth = self._orders.unseen(time.monotonic())
+        dropped = self.place.axes + np.where(steps > 0, forth, back)
+        if self._may_pass_a_limit(steps, self._reckon(), is_against(steps, back, forth), dropped):
             return JointRates()
         self._turned_s = np.where(np.sign(steps) == np.sign(self._velocity), self._turned_s, time.monotonic())
         ends, self._velocity = self._reckon() + steps, steps / seconds
