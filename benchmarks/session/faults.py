@@ -4,6 +4,7 @@ import os
 import random
 import threading
 import time
+from array import array
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -61,12 +62,12 @@ class Faults:
         self._reload_page = reload
         self._random, self._end = random.Random(seed), threading.Event()
         self.planted: dict[str, int] = {}
-        self.sent_s: list[float] = []
+        self.sent_s = array("d")  # plain numbers: the soak's own memory must not grow as a list of floats would
         send = self._tracker.server.server.send_pose
 
         def counted(*arguments: object) -> int:
             reached = send(*arguments)  # type: ignore[arg-type]
-            self.sent_s += [time.monotonic()] * reached
+            self.sent_s.extend([time.monotonic()] * reached)
             return reached
 
         self._tracker.server.server.send_pose = counted  # type: ignore[method-assign, assignment]

@@ -115,12 +115,14 @@ class SerialLink:
         return taken
 
     def _fill(self, deadline: float, wanted: str) -> None:
-        if time.monotonic() >= deadline:
-            raise DeviceTimeoutError(
-                f"{self.port} did not send {wanted} in time (so far {bytes(self._pending)!r}); is it switched on?"
-            )
         with self._unplugged():
-            self._pending += self._serial.read(max(1, self._serial.in_waiting))
+            waiting = self._serial.in_waiting  # has come in time, however late this program looks
+            if waiting or time.monotonic() < deadline:
+                self._pending += self._serial.read(max(1, waiting))
+                return
+        raise DeviceTimeoutError(
+            f"{self.port} did not send {wanted} in time (so far {bytes(self._pending)!r}); is it switched on?"
+        )
 
     @contextmanager
     def _unplugged(self) -> Iterator[None]:
