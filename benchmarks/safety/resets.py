@@ -92,7 +92,8 @@ def _recover(bench: Bench, what: str, faced: Faced) -> None:
         if robot.arm():
             faced.false.append(f"{what}: armed while its place is unknown")
         robot.confirm_place()
-        slack, sample = bench.slack_mm(), _said(robot) or sample
+        sample = _said(robot) or sample
+        slack = bench.slack_mm()
     if abs(sample.joints.insertion_mm - true) > slack + OFF_MM:
         faced.false.append(f"{what}: said {sample.joints.insertion_mm:.2f}, true {true:.2f}, slack {slack:.2f} mm")
     if slack > 1.0:  # the operator looks it up before the slack eats up the way
