@@ -111,6 +111,23 @@ def test_stop_button_dead_man_and_acknowledgment_work_through_the_control_cycle(
         assert not cycle(arm=True, **push).sent.is_zero
 
 
+def test_a_stop_is_heard_in_the_cycle_in_which_the_lamp_fails():
+    class DeadLamp(RobotLight):
+        def set_level(self, level):
+            raise DeviceError("the lamp does not answer")
+
+    hands = Hands()
+    with make_rig(hands=hands) as rig:
+        control = Control(rig.robot, hands, DeadLamp(rig.robot))
+        hands.now = {"arm": True}
+        control.step()
+        assert rig.robot.gate.state == "armed"
+        hands.now = {"emergency_stop": True, "light_step": -1}
+        events = control.step()
+        assert rig.robot.gate.state == "stopped"
+        assert "the lamp does not answer" in [e.text for e in events if isinstance(e, Note)]
+
+
 def test_light_that_a_stop_put_out_comes_back_as_it_was_with_the_acknowledgment():
     hands = Hands()
     with make_rig(SimulatedGrblRobot, hands=hands) as rig:

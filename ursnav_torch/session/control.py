@@ -67,8 +67,10 @@ class Control:
         self._last = hands
         self._cycle += 1
         try:
-            for event in itertools.chain(self._light(hands), self._drive(hands)):
-                events.append(event)  # one by one: what was done before a fault has happened
+            # The robot first, since a lamp's fault must not keep a stop from it; and one by one, since what was done
+            # before a fault has happened.
+            for event in itertools.chain(self._drive(hands), self._light(hands)):
+                events.append(event)
         except DeviceError as error:
             events.append(Note(self._note(), "error", str(error)))
         except Exception as error:  # a driver's own mistake must neither end this cycle for good nor leave it moving
