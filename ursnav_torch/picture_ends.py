@@ -6,14 +6,15 @@ A picture is whole when its own end is there, whatever follows: phones append vi
 #: Markers of a JPEG without a length behind them: TEM, RST0 to RST7, SOI.
 _BARE = {0x01, *range(0xD0, 0xD9)}
 _EOI, _SOS = 0xD9, 0xDA
-_PNG = b"\x89PNG\r\n\x1a\n"
+#: How a PNG begins.
+PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def picture_end(data: bytes) -> int | None:
     """How many bytes of a JPEG or PNG belong to its first picture; None where its end is missing, 0 for other kinds."""
     if data[:3] == b"\xff\xd8\xff":
         return _jpeg_end(data)
-    if data[:8] == _PNG:
+    if data[:8] == PNG:
         return _png_end(data)
     return 0
 
@@ -23,7 +24,7 @@ def pictures_within(data: bytes) -> int:
     end = picture_end(data)
     if not end:
         return 1
-    if data[:8] == _PNG:
+    if data[:8] == PNG:
         at = data.find(b"acTL", 8, 8 + 4096)
         return int.from_bytes(data[at + 4 : at + 8]) if at > 0 else 1
     count = 1
@@ -62,7 +63,7 @@ def _next_marker(data: bytes, at: int) -> int:
 
 
 def _png_end(data: bytes) -> int | None:
-    at = len(_PNG)
+    at = len(PNG)
     while at + 12 <= len(data):
         length, kind = int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
         at += 12 + length

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import re
-import struct
 import warnings
 
 import cv2
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.picture_ends import pictures_within
+from ursnav_torch.picture_ends import PNG, picture_end, pictures_within
 
 #: The finest scopes give 8 megapixels, a photo of a calibration board 12 to 24.
 MOST_PIXELS = 40_000_000
@@ -21,7 +20,6 @@ MOST_PIXELS = 40_000_000
 MOST_BYTES = 256 << 20
 #: The kinds of files that are taken for pictures, in Pillow's words.
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
-_PNG, _CHUNK = b"\x89PNG\r\n\x1a\n", struct.Struct(">I4s")
 #: Gray stays gray, 16 bits stay 16; only without IMREAD_UNCHANGED does OpenCV turn a picture as its EXIF data say.
 _AS_SEEN = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 
@@ -39,7 +37,9 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
         InputError: the picture has more than `MOST_PIXELS` pixels, or the file holds several pictures.
     """
     pixels, pages = _declared(encoded)
-    if pixels is None or (encoded.startswith(_PNG) and not _has_all_chunks(encoded)):
+    if pixels is None:
+        return None
+    if encoded.startswith(PNG) and picture_end(encoded) is None:  # OpenCV makes room for its chunks, there or not: 4 GiB
         return None
     if pixels > MOST_PIXELS:
         raise InputError(
@@ -58,20 +58,6 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
         return None
     finally:
         cv2.utils.logging.setLogLevel(level)
-
-
-def _has_all_chunks(encoded: bytes) -> bool:
-    """Whether the chunks of a PNG lie within the file up to its end chunk.
-
-    OpenCV makes room for a chunk of up to 4 GiB before it sees that it is not there.
-    """
-    at = len(_PNG)
-    while at + _CHUNK.size <= len(encoded):
-        length, kind = _CHUNK.unpack_from(encoded, at)
-        at += _CHUNK.size + length + 4  # a checksum follows
-        if kind == b"IEND":
-            return at <= len(encoded)
-    return False
 
 
 def _declared(encoded: bytes) -> tuple[int | None, int]:
