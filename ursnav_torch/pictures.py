@@ -39,7 +39,7 @@ def decode_picture(encoded: bytes, where: str) -> NDArray[np.generic] | None:
     pixels, pages = _declared(encoded)
     if pixels is None:
         return None
-    if encoded.startswith(PNG) and picture_end(encoded) is None:  # OpenCV makes room for its chunks, there or not: 4 GiB
+    if encoded.startswith(PNG) and picture_end(encoded) is None:  # else OpenCV makes room for it, to 4 GiB
         return None
     if pixels > MOST_PIXELS:
         raise InputError(
