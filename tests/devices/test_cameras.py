@@ -133,4 +133,4 @@ def test_a_camera_that_is_not_there_is_explained():
         OpenCvCamera(7, connect_s=0.2, capture=Absent).connect()
     with pytest.raises(DeviceNotConnectedError, match=r"connect\(\)"):
         OpenCvCamera(7, capture=Absent).read()
-    assert wait_until(lambda: not [t for t in threading.enumerate() if t.name == "camera"], 1.0)
+    assert wait_until(lambda: not [t for t in threading.enumerate() if t.name == "camera"])

@@ -44,7 +44,7 @@ def test_silence_of_an_armed_program_is_answered_with_the_stop_once(stop):
     try:
         guardian.feed(True)
         said = []
-        assert wait_until(lambda: said.append(heard(stop[0])) or said[-1], 10.0)
+        assert wait_until(lambda: said.append(heard(stop[0])) or said[-1])
         assert said[-1] == b"STOP"
         time.sleep(0.7)
         assert heard(stop[0]) == b"" and guardian.is_alive
@@ -78,7 +78,7 @@ def test_the_death_of_an_armed_program_is_answered_at_once(stop):
     ) as process:
         process.communicate("\n", timeout=60)
     said = []
-    assert wait_until(lambda: said.append(heard(stop[0])) or said[-1], 10.0) and said[-1] == b"STOP"
+    assert wait_until(lambda: said.append(heard(stop[0])) or said[-1]) and said[-1] == b"STOP"
 
 
 @pytest.fixture(params=["GrblRobot", "RosserialRobot"])

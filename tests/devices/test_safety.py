@@ -151,7 +151,7 @@ def test_every_robot_obeys_gate_watchdog_and_faults():
         assert robot.command(forward, False).reason == "dead-man button not held"
         assert robot.told[-1] == "halt"  # letting go stops at once
         robot.command(forward, True)
-        assert wait_until(lambda: robot.gate.state == "disarmed", 0.5) and robot.told[-1] == "halt"
+        assert wait_until(lambda: robot.gate.state == "disarmed") and robot.told[-1] == "halt"
         robot.arm()
         robot.failing = True
         with pytest.raises(DeviceTimeoutError):

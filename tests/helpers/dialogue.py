@@ -55,8 +55,8 @@ def dialogue(steps: list[Step]) -> Iterator[tuple[str, Dialogue, SimulatedPort]]
         port.close()
 
 
-def wait_until(condition, timeout_s: float) -> bool:
-    """Wait for a condition and say whether it came true."""
+def wait_until(condition, timeout_s: float = 20.0) -> bool:
+    """Wait for a condition and say whether it came true; how soon it does is measured by benchmarks, not by tests."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         if condition():

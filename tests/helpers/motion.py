@@ -42,9 +42,9 @@ def motion_after_sigkill(kind: str, port: str, board: Any) -> float:
     assert process.stdout is not None
     try:
         assert process.stdout.readline() == "driving\n"
-        assert wait_until(lambda: board.moving, 10.0)
+        assert wait_until(lambda: board.moving)
         time.sleep(0.3)
-        assert wait_until(lambda: board.moving, 10.0)
+        assert wait_until(lambda: board.moving)
         process.kill()
         process.wait()
         time.sleep(0.02)  # what lies in the wire arrives

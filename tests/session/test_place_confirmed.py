@@ -44,7 +44,7 @@ def test_acknowledged_twice_a_lost_place_is_known_again(kind, monkeypatch):
                 control.step()
                 time.sleep(0.02)
 
-        assert wait_until(lambda: cycles(5) or robot.gate.state == "stopped", 5.0)
+        assert wait_until(lambda: cycles(5) or robot.gate.state == "stopped")
         cycles(30, acknowledge=True)
         assert robot.gate.state == "disarmed" and not robot.place.is_known
         cycles(10, arm=True)

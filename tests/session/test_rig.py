@@ -74,21 +74,23 @@ def test_through_any_drivers_hands_move_the_twin_and_every_device_sees_it(robot,
         control = Control(rig.robot, hands, rig.light)
         before = np.array(rig.tracker.read().position_mm)
         hands.now = {"arm": True, "insertion": 1.0, "dead_man": True}
-        end = time.monotonic() + 0.6
-        while time.monotonic() < end:
+        start = time.monotonic()
+
+        def driven():
             control.step()
-            time.sleep(0.02)
+            return rig.twin.pose()[2, 3] > 4.8
+
+        assert wait_until(driven)  # a machine that is late only takes longer
         rig.robot.stop()
-        time.sleep(0.2)
-        assert rig.twin.pose()[2, 3] == pytest.approx(8 * 0.6, abs=0.9)
-        assert rig.robot.read().joints.insertion_mm == pytest.approx(rig.twin.pose()[2, 3], abs=0.25)
+        assert rig.twin.pose()[2, 3] < 8.0 * (time.monotonic() - start) + 0.5  # full speed is 8 mm/s
+        assert wait_until(lambda: abs(rig.robot.read().joints.insertion_mm - rig.twin.pose()[2, 3]) < 0.25)
         drain(rig.tracker)
         moved = np.mean([rig.tracker.read().position_mm for _ in range(10)], axis=0) - before
-        assert np.linalg.norm(moved) == pytest.approx(4.8, abs=2.5)  # noise of one sample and ten
+        assert np.linalg.norm(moved) == pytest.approx(rig.twin.pose()[2, 3], abs=2.5)  # noise of one sample and ten
         bright = rig.camera.read().image.mean()
         hands.now = {"light_step": -1}
         control.step()
-        assert wait_until(lambda: rig.camera.read().image.mean() < bright, 0.5)
+        assert wait_until(lambda: rig.camera.read().image.mean() < bright)
 
 
 def test_stop_button_dead_man_and_acknowledgment_work_through_the_control_cycle():
@@ -144,9 +146,9 @@ def test_light_that_a_stop_put_out_comes_back_as_it_was_with_the_acknowledgment(
         time.sleep(0.2)
         lit = brightness()
         cycle(emergency_stop=True)
-        assert wait_until(lambda: brightness() < 0.5 * lit, 0.5)
+        assert wait_until(lambda: brightness() < 0.5 * lit)
         cycle(acknowledge=True)
-        assert wait_until(lambda: brightness() == pytest.approx(lit, rel=0.05), 0.5)
+        assert wait_until(lambda: brightness() == pytest.approx(lit, rel=0.05))
 
 
 def test_a_fault_of_the_robot_is_a_note_and_one_of_the_gamepad_disarms():
