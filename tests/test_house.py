@@ -35,6 +35,8 @@ MANY_PARAMETERS = {
     "track.track_source": "what the runner was told, once",
     "validate.judge_matches": "what the runner was told, once",
     "experiment.run_experiment": "what the runner was told, once",
+    "run.run_navigation": "what the runner was told, handed on",
+    "open_session": "what the runner was told, handed on",
     "run._prepared_vid": "what the runner was told, handed on",
     "series.draw_pictures": "what the experiment draws with, once",
     "synthetic.synthetic_ct": "a made scan's properties, for tests and the demo",

@@ -54,3 +54,29 @@ class Segment:
     def bend_from_pulls(self, pulls_mm: ArrayLike) -> Array:
         """The bend (2,) about x and y, radians, at pulls (2,) in mm; the inverse of `pulls_mm`."""
         return np.asarray(pulls_mm, float) / self.cable_radius_mm
+
+    def bend_for_turn(self, bend_rad: ArrayLike, turn_rad: ArrayLike) -> Array:
+        """The change of bend (2,) that turns the tip by a small turn (2,) about its own x and y axes.
+
+        Args:
+            bend_rad: (2,) present bend about x and y.
+            turn_rad: (2,) turn about the tip's axes; where the segment cannot make one (it does not roll), the nearest.
+        """
+        bend, step = np.asarray(bend_rad, float), 1e-3
+        R = self.point_transform(bend)[:3, :3]
+        columns = []
+        for axis in range(2):
+            d = R.T @ self.point_transform(bend + step * np.eye(2)[axis])[:3, :3]
+            columns.append(np.array([d[2, 1] - d[1, 2], d[0, 2] - d[2, 0]]) / (2 * step))
+        return np.asarray(np.linalg.lstsq(np.stack(columns, axis=1), np.asarray(turn_rad, float), rcond=1e-2)[0])
+
+
+def turn_towards(direction: ArrayLike) -> Array:
+    """The turn (2,) about the tip's x and y axes that brings its z axis to a direction (3,) in its frame, radians."""
+    way = np.asarray(direction, float)
+    way = way / max(float(np.linalg.norm(way)), 1e-9)
+    across = np.array([-way[1], way[0]])
+    size = float(np.linalg.norm(across))
+    if size < 1e-9:  # straight ahead, or straight behind: any axis will do
+        return np.zeros(2) if way[2] > 0 else np.array([np.pi, 0.0])
+    return across / size * float(np.arctan2(size, way[2]))

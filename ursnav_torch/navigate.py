@@ -32,6 +32,7 @@ def main(config: Any) -> None:
         overwrite=config.overwrite,
         config=plain,
         exploration=instantiate(config.exploration),
+        autonomy=instantiate(config.autonomy) if config.autonomy else None,
     )
     print(summary)
 

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 
 from ursnav_torch._runner import config_dir
 from ursnav_torch.alignment import RefinementSettings
+from ursnav_torch.autonomy import AutonomySettings
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import DefaultSettings, ThesisSettings
@@ -75,6 +76,8 @@ def test_every_choice_composes(root: str, group: str, choice: str) -> None:
         ("track", "tracking=default", TrackSettings()),
         ("navigate", "tracking=default", TrackSettings()),
         ("navigate", "exploration=default", ExplorationSettings()),
+        ("navigate", "autonomy=explore", AutonomySettings()),
+        ("navigate", "autonomy=assist", AutonomySettings(mode="assist")),
     ],
 )
 def test_configurations_repeat_the_defaults_of_the_code(root: str, override: str, expected: object) -> None:

@@ -73,14 +73,14 @@ def route_to(kidney: Kidney, position_mm: Array, calyx: int, limits: ScopeLimits
     if not 0 <= calyx < len(kidney.calyces):
         raise InputError(f"The kidney has calyces 0 to {len(kidney.calyces) - 1}, got {calyx}.")
     tree, inward = kidney.centerline, kidney.centerline.path_to(calyx)
-    outward = _to_root(tree.parent, _node_at(kidney, position_mm))
+    outward = to_root(tree.parent, node_at(kidney, position_mm))
     shared = len(set(outward) & set(inward.tolist()))
     back = outward[: len(outward) - shared + 1]
     path = np.array([*back, *inward[shared:]])
     points = tree.points_mm[path]
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     bend = bend_needed_deg(kidney, calyx, limits)
-    ahead = inward[_along(tree.points_mm[inward])[-1] - _along(tree.points_mm[inward]) >= of_kidney.short_mm]
+    ahead = inward[along(tree.points_mm[inward])[-1] - along(tree.points_mm[inward]) >= of_kidney.short_mm]
     narrowest = float(tree.radius_mm[ahead].min()) if len(ahead) else float(tree.radius_mm[inward[0]])
     return Route(
         kidney.calyces[calyx].name,
@@ -112,13 +112,13 @@ def bend_needed_deg(kidney: Kidney, calyx: int, limits: ScopeLimits) -> float:
     The shaft follows the centerline from the pelvis; before the pelvis it is taken as straight.
     """
     points, limits = kidney.centerline.points_mm[kidney.centerline.path_to(calyx)], scaled(limits, kidney.scale)
-    along = _along(points)
-    stations = np.arange(0.0, max(along[-1] - limits.short_mm, 0.5), 0.5)
+    length = along(points)
+    stations = np.arange(0.0, max(length[-1] - limits.short_mm, 0.5), 0.5)
     look = 2.0 * kidney.scale
 
     def direction(at: Array) -> Array:
-        ahead, behind = (np.clip(at + d, 0, along[-1]) for d in (look, -look))
-        way = [np.interp(ahead, along, points[:, i]) - np.interp(behind, along, points[:, i]) for i in range(3)]
+        ahead, behind = (np.clip(at + d, 0, length[-1]) for d in (look, -look))
+        way = [np.interp(ahead, length, points[:, i]) - np.interp(behind, length, points[:, i]) for i in range(3)]
         return np.stack(way, 1)
 
     before = np.maximum(stations - limits.bending_length_mm, 0.0)
@@ -143,20 +143,21 @@ def branch_names(kidney: Kidney) -> tuple[str, ...]:
     return tuple(name(calyces) for calyces in leads)
 
 
-def _node_at(kidney: Kidney, position_mm: Array) -> int:
-    """The node of the centerline whose ball of clearance a place lies deepest in."""
+def node_at(kidney: Kidney, position_mm: Array) -> int:
+    """The node of the centerline whose ball of clearance a place (3,) lies deepest in."""
     tree = kidney.centerline
     away = np.linalg.norm(tree.points_mm - np.asarray(position_mm, float), axis=1)
     return int((away / np.maximum(tree.radius_mm, 1e-6)).argmin())
 
 
-def _to_root(parent: IntArray, node: int) -> list[int]:
+def to_root(parent: IntArray, node: int) -> list[int]:
+    """The nodes from one to the root of a tree, both included; ``parent`` (N,) as of `Centerline`."""
     way = [node]
     while parent[way[-1]] >= 0:
         way.append(int(parent[way[-1]]))
     return way
 
 
-def _along(points: Array) -> Array:
+def along(points: Array) -> Array:
     """(K,) length of a polyline (K, 3) up to each of its points."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

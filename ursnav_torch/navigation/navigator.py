@@ -158,6 +158,10 @@ class Navigator:
         self.guide.chosen = names.index(calyx) if calyx else -1
         self._choose_again = True
 
+    def say_autonomy(self, text: str) -> None:
+        """What exploring by itself is doing, for whoever looks."""
+        self.bus.update(lambda state: _worded(replace(state, autonomy=text)))
+
     def forget_place(self) -> None:
         """The next picture may be from anywhere: a replay was moved."""
         self._forget = True
@@ -349,6 +353,7 @@ def _names(tracked: Tracked, vid: Vid) -> tuple[str, ...]:
 def _worded(state: NavigationState) -> NavigationState:
     """A state with its line of plain words."""
     remarks = ["No new picture."] * state.stale + ["The robot is stopped."] * (state.robot == STOPPED)
+    remarks += [f"By itself: {state.autonomy}."] * bool(state.autonomy)
     remark = " ".join([*remarks, WORDS[state.effort]]).strip()
     calyx = set_words(state.calyces) if state.calyx else ""
     line = status_line(state.tracking, calyx, state.confidence, state.guidance, remark)

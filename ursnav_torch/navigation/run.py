@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ursnav_torch.devices import Frame
+from ursnav_torch.autonomy import AutonomySettings, Explored
+from ursnav_torch.devices import Frame, Gamepad
+from ursnav_torch.navigation.autopilot import Autopilot, make_autopilot
 from ursnav_torch.navigation.navigator import Navigator
 from ursnav_torch.navigation.state import NavigationState
 from ursnav_torch.session import Event, Recorder, Replay, Result, Rig, SessionControls, Summary, open_session
@@ -28,6 +30,7 @@ class NavigationSummary:
     tracking: int = 0
     latency_ms: tuple[float, float] = (0.0, 0.0)
     last: NavigationState = field(default_factory=NavigationState)
+    explored: Explored | None = None
 
     @property
     def pictures(self) -> int:
@@ -43,6 +46,7 @@ class NavigationSummary:
             f"picture to pose {self.latency_ms[0]:.0f} ms median, {self.latency_ms[1]:.0f} ms 95th percentile",
             self.session.text(),
             *(f"  {c.calyx}: {c.verdict}, {c.share:.0%} of its wall seen" for c in self.last.guidance.coverage),
+            *([self.explored.text()] if self.explored is not None else []),
         ]
         return "\n".join(lines)
 
@@ -54,6 +58,7 @@ def run_navigation(
     recorder: Recorder | None = None,
     duration_s: float = 0.0,
     page: Page | None = None,
+    autonomy: AutonomySettings | None = None,
 ) -> NavigationSummary:
     """Connect what there is, navigate until the end, disconnect.
 
@@ -61,9 +66,10 @@ def run_navigation(
         navigator: not yet entered.
         hardware, world, recorder, duration_s: see `open_session`.
         page: navigation does not wait for it.
+        autonomy: how the scope moves by itself while the dead-man button is held; None does without.
 
     Raises:
-        InputError: the record is to be written over itself.
+        InputError: the record is to be written over itself, or there is no robot for autonomy to move.
         DeviceError: a device cannot be connected.
     """
     summary = NavigationSummary()
@@ -71,7 +77,14 @@ def run_navigation(
     def count(event: Event) -> None:
         summary.tracking += isinstance(event, Result) and event.row.get("state") == TRACKING
 
-    opened = open_session(hardware, world, recorder, duration_s, page is not None, navigator.forget_place)
+    pilots: list[Autopilot] = []
+
+    def between(hands: Gamepad, rig: Rig, watched: bool) -> Gamepad:
+        pilots.append(make_autopilot(navigator, hands, rig, autonomy or AutonomySettings(), quits=not watched))
+        return pilots[0]
+
+    steers = None if autonomy is None or isinstance(hardware, Replay) else between
+    opened = open_session(hardware, world, recorder, duration_s, page is not None, navigator.forget_place, steers)
     with contextlib.ExitStack() as stack:
         session = stack.enter_context(opened)
         navigator.expect(session.source.pace)
@@ -84,4 +97,7 @@ def run_navigation(
         summary.latency_ms = (float(np.median(total)), float(np.percentile(total, 95)))
     summary.located, summary.passed_over = navigator.located, navigator.passed_over
     summary.last = navigator.bus.latest()
+    if pilots:
+        explorer = pilots[0].explorer
+        summary.explored = Explored(tuple(explorer.visits), explorer.machine.reason, explorer.finished)
     return summary

@@ -77,6 +77,7 @@ class NavigationState:
         effort: 0 for all that tracking can do; more when a slow machine makes it spend less, see `effort.WORDS`.
         stale: no picture has been located for a while; the pose is old.
         robot: ``disarmed``, ``armed``, ``stopped``, or blank without a robot.
+        autonomy: what exploring by itself is doing and why, in words; blank without it.
         notice: the last warning of a device.
         status: all of it in one line of plain words.
         ended: nothing will follow.
@@ -99,6 +100,7 @@ class NavigationState:
     effort: int = 0
     stale: bool = False
     robot: str = ""
+    autonomy: str = ""
     notice: str = ""
     status: str = ""
     ended: bool = False

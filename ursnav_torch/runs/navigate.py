@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ursnav_torch.autonomy import AutonomySettings
 from ursnav_torch.exploration import ExplorationSettings
+from ursnav_torch.files import write_json
 from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
 from ursnav_torch.reports.session import write_session_report
 from ursnav_torch.session import Recorder, Replay, Rig
@@ -12,7 +14,7 @@ from ursnav_torch.simulation import World
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import MakeRenderer
 
-REPORT = "report.html"
+REPORT, EXPLORED = "report.html", "explored.json"
 
 
 def navigate_vid(
@@ -28,6 +30,7 @@ def navigate_vid(
     overwrite: bool = False,
     config: Mapping[str, Any] | None = None,
     exploration: ExplorationSettings | None = None,
+    autonomy: AutonomySettings | None = None,
 ) -> str:
     """Navigate in a VID's kidney until the session ends; record it and report on it where ``out`` says.
 
@@ -43,6 +46,7 @@ def navigate_vid(
         overwrite: replace what stands in ``out``.
         config: the session's configuration, kept with the record.
         exploration: when wall counts as seen, and what the scope can do.
+        autonomy: how the scope moves by itself while the dead-man button is held; None does without.
 
     Returns:
         The summary, for people to read.
@@ -59,8 +63,11 @@ def navigate_vid(
     def world() -> World:
         return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera), vid.lumen)
 
-    summary = run_navigation(navigator, hardware, world, recorder, duration_s, page).text()
+    found = run_navigation(navigator, hardware, world, recorder, duration_s, page, autonomy)
+    summary = found.text()
     if out is None:
         return summary
+    if found.explored is not None:
+        write_json(out / EXPLORED, found.explored.to_dict())
     report = write_session_report(vid, Replay(out, speed=0), out / REPORT)
     return f"{summary}\nrecord in {out}, report in {report}"

@@ -19,6 +19,8 @@ MOVES = {
     "left": (0.0, -1.0, 0.0),
     "right": (0.0, 1.0, 0.0),
 }
+#: Holds the dead-man button and moves no stick: where autonomy steers, it goes on for as long.
+HOLD = "hold"
 
 
 class Console(Gamepad):
@@ -58,12 +60,12 @@ class Console(Gamepad):
         return self._pilot
 
     def drive(self, move: str, hold_s: float = HOLD_S) -> None:
-        """Take over and move one of `MOVES` for a moment; nothing where the page may not drive."""
-        if not self.may_drive or move not in MOVES:
+        """Take over and move one of `MOVES` for a moment, or `HOLD`; nothing where the page may not drive."""
+        if not self.may_drive or move not in (*MOVES, HOLD):
             return
         with self._lock:
             self.by_hand = True
-            self._move, self._until_s = MOVES[move], time.monotonic() + min(hold_s, HOLD_S)
+            self._move, self._until_s = MOVES.get(move, (0.0, 0.0, 0.0)), time.monotonic() + min(hold_s, HOLD_S)
 
     def release(self) -> None:
         """Stand still."""

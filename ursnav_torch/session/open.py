@@ -10,7 +10,7 @@ from functools import partial
 from types import FrameType
 
 from ursnav_torch.columns import POSE_COLUMNS
-from ursnav_torch.devices import Frame, Output, RobotSample
+from ursnav_torch.devices import Frame, Gamepad, Output, RobotSample
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from_quaternion
 from ursnav_torch.session.console import Console
@@ -22,6 +22,10 @@ from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.rig import Rig, World
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
 from ursnav_torch.session.source import EventSource
+from ursnav_torch.simulation import TwinPilot
+
+#: Puts something between the operator's hands and the robot, given the hands, the rig, and whether a page watches.
+Between = Callable[[Console, Rig, bool], Gamepad]
 
 #: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
 SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
@@ -63,6 +67,7 @@ def open_session(
     duration_s: float = 0.0,
     watched: bool = False,
     on_seek: Callable[[], None] = lambda: None,
+    between: Between | None = None,
 ) -> Iterator[Session]:
     """Connect what there is; disconnect at the end. `SIGNALS` end the session in good order, a second one at once.
 
@@ -73,6 +78,7 @@ def open_session(
         duration_s: end after so long; 0 for no end but the operator's, or the record's.
         watched: a page watches: a replay stays open at its end, a pilot leaves the scope to the page.
         on_seek: called when a replay goes on from another moment.
+        between: what adds to the operator's hands, such as autonomy; a simulated pilot then only holds the dead man.
 
     Raises:
         InputError: the record is to be written over itself.
@@ -82,7 +88,7 @@ def open_session(
         if isinstance(hardware, Replay):
             session = _open_replay(hardware, recorder, Player(hardware, watched, on_seek, duration_s))
         else:
-            session = _open_rig(hardware(world=world), duration_s, watched, stack)
+            session = _open_rig(hardware(world=world), duration_s, watched, stack, between)
         stack.enter_context(ended_by_signals(session.source.stop))
         keepers = session.keepers if recorder is None else (stack.enter_context(recorder).write, *session.keepers)
         yield replace(session, keepers=keepers)
@@ -94,9 +100,16 @@ def _open_replay(replay: Replay, recorder: Recorder | None, player: Player) -> S
     return Session(player, SessionControls(player.stop, player=player), ())
 
 
-def _open_rig(rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack) -> Session:
+def _open_rig(
+    rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack, between: Between | None
+) -> Session:
     console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched)
-    rig = stack.enter_context(replace(rig, gamepad=console))
+    hands: Gamepad = console
+    if between is not None:
+        if isinstance(rig.gamepad, TwinPilot):
+            rig.gamepad.steers = False
+        hands = between(console, rig, watched)
+    rig = stack.enter_context(replace(rig, gamepad=hands))
     live = Live(rig, duration_s)
     keepers = (partial(publish, rig.output),) if rig.output else ()
     return Session(live, SessionControls(live.stop, console=console), keepers)

@@ -10,6 +10,7 @@ from ursnav_torch.simulation.simulated import (
     TwinCamera,
     make_twin,
 )
+from ursnav_torch.simulation.stepped import SteppedRobot
 from ursnav_torch.simulation.twin import Scope, Twin
 from ursnav_torch.simulation.world import World
 
@@ -20,6 +21,7 @@ __all__ = [
     "SimulatedNdiTracker",
     "SimulatedOpenIgtlTracker",
     "SimulatedRosserialRobot",
+    "SteppedRobot",
     "Twin",
     "TwinCamera",
     "TwinPilot",

@@ -28,7 +28,8 @@ class Goal:
 class TwinPilot(Gamepad):
     """An input device without an operator: flies the twin into the calyces in turn, out again, and quits at the end.
 
-    A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`.
+    A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`. Where autonomy
+    flies, it only arms and holds the dead-man button: `steers` is False.
 
     Args:
         twin: the scope to fly; its motors are moved through the robot like an operator's.
@@ -52,6 +53,7 @@ class TwinPilot(Gamepad):
         self._names = [c.name for c in kidney.calyces] if calyces is None else list(calyces)
         self._segment: Segment = twin.scope.drive.segment
         self.visited: list[str] = []
+        self.steers = True
         self._goals: list[Goal] = []
         self._round = 0
         self._entering = True
@@ -64,6 +66,8 @@ class TwinPilot(Gamepad):
         if not self._armed:
             self._armed = True
             return OperatorInput(stamp, arm=True)
+        if not self.steers:
+            return OperatorInput(stamp, dead_man=True)
         if not self._goals:
             self._round += 1
             if 0 < self.rounds < self._round:
@@ -116,12 +120,5 @@ def _ahead(way_mm: Array, position: Array) -> Array:
 
 def _bend_stick(segment: Segment, bend: Array, turn: Array) -> list[float]:
     """Stick deflections that turn the tip by ``turn`` (2,) about its own x and y axes, at a bend (2,)."""
-    R = segment.point_transform(bend)[:3, :3]
-    step = 1e-3
-    columns = []
-    for axis in range(2):
-        moved = bend + step * np.eye(2)[axis]
-        d = R.T @ segment.point_transform(moved)[:3, :3]
-        columns.append(np.array([d[2, 1] - d[1, 2], d[0, 2] - d[2, 0]]) / (2 * step))
-    wanted = np.linalg.lstsq(np.stack(columns, axis=1), turn, rcond=1e-2)[0] / FULL_STICK_RAD
+    wanted = segment.bend_for_turn(bend, turn) / FULL_STICK_RAD
     return np.asarray(wanted / max(1.0, float(np.abs(wanted).max()))).tolist()

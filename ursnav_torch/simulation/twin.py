@@ -109,7 +109,7 @@ class Twin:
             )
         self._trail = [Mark(0.0, start, np.zeros(2))]
         self._T_kidney_tip, self._bend = start, np.zeros(2)
-        self._insertion, self._shift = 0.0, 0.0
+        self._insertion, self._shift, self._pressed = 0.0, 0.0, 0.0
         self._hysteresis = Hysteresis(self.scope.backlash)
         self._last_axes = np.zeros(3)
         self._axes: Callable[[], Array] = lambda: np.zeros(3)
@@ -130,6 +130,11 @@ class Twin:
     def insertion_mm(self) -> float:
         """How far the shaft has truly gone in."""
         return self._insertion
+
+    @property
+    def pressed_mm(self) -> float:
+        """How far the shaft is compressed, as it pushes against a wall (negative: as it is pulled)."""
+        return self._pressed
 
     def pose(self) -> Array:
         """The true ``T_kidney_camera`` (4, 4) now."""
@@ -179,7 +184,8 @@ class Twin:
         moved = self._push(step) if step > 0 else self._pull(step)
         self._insertion += moved
         left = missing - moved
-        self._shift += left - float(np.clip(left, -self.scope.compression_mm, self.scope.compression_mm))
+        self._pressed = float(np.clip(left, -self.scope.compression_mm, self.scope.compression_mm))
+        self._shift += left - self._pressed
 
     def _push(self, step: float) -> float:
         """Advance on the present curve, as the shaft follows where the tip leads; returns the way made."""

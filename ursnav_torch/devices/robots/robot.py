@@ -145,6 +145,11 @@ class Robot(Device):
             "more, else withdraw it by hand and connect again."
         )
 
+    @property
+    def reported(self) -> Joints:
+        """Where the controller last said that it stands, without asking it; see `read`."""
+        return self._joints_of(self.place.axes)
+
     def stop(self) -> None:
         """End all motion gently; arms nothing and disarms nothing."""
         self._still = True

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from ursnav_torch.devices.base import JointRates, Joints
@@ -73,10 +74,13 @@ class SafetyGate:
     """Decides whether a command may move the robot; starts disarmed.
 
     Threads may share it. After a stop nothing moves until `acknowledge` and then `arm`.
+
+    Args:
+        clock: seconds by which commands are late; a simulation may run by one of its own.
     """
 
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._lock, self._clock = threading.RLock(), clock
         self._state, self.reason = DISARMED, "not armed yet"
         self.last_command_s = -math.inf
 
@@ -90,7 +94,7 @@ class SafetyGate:
         with self._lock:
             if self._state == DISARMED:
                 self._state, self.reason = ARMED, ""
-                self.last_command_s = time.monotonic()
+                self.last_command_s = self._clock()
             return self._state == ARMED
 
     def disarm(self, reason: str = "disarmed") -> None:
@@ -113,11 +117,11 @@ class SafetyGate:
 
     def is_stale(self, watchdog_s: float) -> bool:
         """True when the robot is armed and nobody has commanded it for ``watchdog_s``."""
-        return self._state == ARMED and time.monotonic() - self.last_command_s > watchdog_s
+        return self._state == ARMED and self._clock() - self.last_command_s > watchdog_s
 
     def refusal(self, dead_man: bool) -> str:
         """Why a command may not move the robot now; empty when it may. Feeds the watchdog."""
-        self.last_command_s = time.monotonic()
+        self.last_command_s = self._clock()
         if self._state != ARMED:
             return f"{self._state}: {self.reason}"
         return "" if dead_man else "dead-man button not held"

@@ -1,0 +1,62 @@
+"""Exploring in simulated time."""
+
+import numpy as np
+import pytest
+
+from ursnav_torch.autonomy import Explorer, State
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.geometry import look_along
+from ursnav_torch.navigation.rehearsal import Rehearsal, Sighting
+from ursnav_torch.simulation import Twin
+
+
+def rehearsal(phantom, phantom_lumen, lens, vid, **changes):
+    start = phantom.centerline.points_mm[0]
+    T = look_along(start, phantom.tips_mm.mean(axis=0) - start)
+    twin = Twin(phantom_lumen.clearance_mm, lambda T: np.zeros((1, 1), np.uint8), T)
+    explorer = Explorer(Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2]), phantom_lumen)
+    return Rehearsal(twin, explorer, lambda twin, t_s: Sighting(twin.pose().copy()), **changes)
+
+
+@pytest.fixture
+def make(phantom, phantom_lumen, lens, vid):
+    return lambda **changes: rehearsal(phantom, phantom_lumen, lens, vid, **changes)
+
+
+@pytest.mark.slow
+def test_a_calyx_is_inspected_without_forcing_the_wall(make):
+    rehearsed = make()
+    found = rehearsed.run(35.0)
+    visits = rehearsed.explorer.visits
+    assert [v.calyx for v in visits if v.verdict == "inspected"], [v.text() for v in visits]
+    assert not [v for v in visits if v.verdict == "out of reach"]
+    assert found.disarmed == 0 and not found.faults and max(found.pressed_mm) < 0.5
+
+
+def test_the_same_steps_are_made_again(make):
+    runs = [make().run(3.0) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].T_kidney_camera, runs[1].T_kidney_camera)
+    assert runs[0].states == runs[1].states
+
+
+def test_it_stands_still_while_the_button_is_released(make):
+    rehearsed = make(holds=lambda t_s: t_s < 2.0)
+    found = rehearsed.run(4.0)
+    places = np.array([T[:3, 3] for T in found.T_kidney_camera])
+    t_s = np.array(found.t_s)
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert moved[t_s[1:] < 2.0].sum() > 0.5
+    assert moved[t_s[1:] > 2.2].sum() == 0.0  # a fifth of a second for what was sent, and the picture before
+    assert rehearsed.explorer.machine.state is State.WAITING
+
+
+def test_silence_of_the_pictures_ends_motion(make):
+    rehearsed = make()
+    seen = rehearsed._locate
+    rehearsed._locate = lambda twin, t_s: seen(twin, t_s) if t_s < 2.0 else Sighting(None)
+    found = rehearsed.run(4.2)
+    t_s, states = np.array(found.t_s), np.array(found.states)
+    assert "looking" in states[(t_s > 2.5) & (t_s < 3.0)]
+    still = (t_s > 3.0) & (t_s < 4.0)
+    places = np.array([T[:3, 3] for T in found.T_kidney_camera])[still]
+    assert np.ptp(places, axis=0).max() == 0.0

@@ -1,0 +1,350 @@
+"""An exploration that goes by itself: from what is known to what the joints shall do, state by state.
+
+Pure logic: no device, no thread and no clock of its own; `Explorer.step` is called in every cycle of control.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
+from ursnav_torch.autonomy.perception import Perception, Permission, Wish
+from ursnav_torch.autonomy.settings import AutonomySettings
+from ursnav_torch.autonomy.states import MOVING, State, StateMachine
+from ursnav_torch.autonomy.steering import Steering, Way
+from ursnav_torch.autonomy.tour import Tour
+from ursnav_torch.autonomy.visits import INSPECTED, OPEN, OUT_OF_REACH, PARTLY, Visit
+from ursnav_torch.exploration import ScopeLimits
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.route import route_to
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.kinematics import Segment
+from ursnav_torch.scaling import scaled
+
+Array = NDArray[np.float64]
+
+#: Views that are weighed in one cycle of control: each costs a cast of rays.
+_VIEWS_A_CYCLE = 2
+#: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
+_THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
+#: The shaft is all the way back from here on; weight of a new picture in how far the scope has got.
+_OUT_MM, _NEWS = 0.2, 0.25
+#: A tip that makes less of the way that the shaft was pushed meets resistance.
+_FOLLOWS = 0.3
+#: Getting on by less than this is none, mm at scale 1.
+_PROGRESS_MM = 0.25
+
+
+class Explorer:
+    """Visits every calyx of a kidney that can be reached, and keeps an account of it.
+
+    Args:
+        coverage: what was seen so far; painted by somebody else. Its kidney is the one explored.
+        lumen: distances and walls.
+        settings, limits: how carefully, and what the scope can do; mm at scale 1.
+        segment: the scope's bending tip.
+
+    Attributes:
+        machine: the state and why.
+        visits: what became of each calyx.
+        target: index of the calyx that is headed for; -1 for none.
+    """
+
+    def __init__(
+        self,
+        coverage: Coverage,
+        lumen: LumenDistance,
+        settings: AutonomySettings | None = None,
+        limits: ScopeLimits | None = None,
+        segment: Segment | None = None,
+    ) -> None:
+        self.kidney, self.coverage, self.lumen = coverage.kidney, coverage, lumen
+        self._unit = self.kidney.scale
+        self.settings = s = scaled(settings or AutonomySettings(), self._unit)
+        self._limits = limits or ScopeLimits()
+        segment = segment or Segment()
+        self._tour = Tour(self.kidney, s.standoff_mm)
+        self._steering = Steering(lumen, segment, s)
+        self._planner = ViewPlanner(coverage, lumen, segment, s.clearance_mm, np.radians(self._limits.largest_bend_deg))
+        self.machine, self.target = StateMachine(), -1
+        self.visits = [Visit(c.name) for c in self.kidney.calyces]
+        self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
+        self._way: Way | None = None  # along which the scope came
+        self._room_mm = s.room_mm
+        self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
+        self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
+        self._doubts = self._hits = 0
+        self._inspected_from_s: float | None = None
+        self._weighed: Iterator[ViewPlan] | None = None
+        self._best: ViewPlan | None = None
+        self._view: tuple[ViewPlan, float] | None = None
+        self._held_from_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.machine.state is State.FINISHED
+
+    def leave_out(self, calyx: int, reason: str) -> None:
+        """A calyx (index) cannot be visited, for a reason that others know: a stone blocks the way."""
+        visit = self.visits[calyx]
+        if visit.verdict == OPEN:
+            visit.verdict, visit.reason = OUT_OF_REACH, reason
+            if calyx == self.target:
+                self.target = -1
+
+    def step(self, seen: Perception, may: Permission) -> Wish:
+        """One cycle of control: what the joints shall do now. Still in every state that is not one of `MOVING`."""
+        self._permit(seen, may)
+        state = self.machine.state
+        if state in (State.WAITING, State.STOPPED, State.FINISHED):
+            return Wish()
+        doubt = self._doubt(seen)
+        if state in MOVING and self.target < 0 and state is not State.WITHDRAWING:
+            doubt = doubt or "the calyx that it was on its way to is left out"
+        if doubt and state not in (State.LOOKING, State.WITHDRAWING):
+            self._to(State.LOOKING, seen, doubt)
+        wish = self._act(seen, doubt)
+        return wish if self.machine.state in MOVING else Wish()
+
+    def _to(self, state: State, seen: Perception, reason: str) -> None:
+        self.machine.to(state, seen.t_s, reason)
+
+    def _permit(self, seen: Perception, may: Permission) -> None:
+        """An end of permission ends all motion; with it again, it looks first."""
+        state = self.machine.state
+        if state is State.FINISHED:
+            return
+        if may.stopped:
+            self._to(State.STOPPED, seen, "the robot is stopped")
+        elif state is State.STOPPED or not (may.held and may.armed):
+            self._to(State.WAITING, seen, "the dead-man button is not held" if may.armed else "the robot is not armed")
+        elif state is State.WAITING:
+            self._to(State.LOOKING, seen, "begins")
+
+    def _doubt(self, seen: Perception) -> str:
+        """Why it must not go on; empty where the place is known."""
+        s = self.settings
+        if seen.T_kidney_camera is None or seen.t_s - seen.seen_s > s.stale_s:
+            return "no place from the pictures"
+        if seen.position_sd_mm is not None and seen.position_sd_mm > s.doubtful_sd_mm:
+            return f"the place may be {seen.position_sd_mm:.1f} mm off"
+        if len(seen.calyces) > 1 and self.target in seen.calyces:
+            return "it may be calyx " + " or ".join(self.visits[c].calyx for c in seen.calyces)
+        return ""
+
+    def _act(self, seen: Perception, doubt: str) -> Wish:
+        state, T = self.machine.state, seen.T_kidney_camera
+        if state is State.LOOKING:
+            return self._look(seen, doubt)
+        if state is State.WITHDRAWING:
+            return self._withdraw(seen, doubt)
+        assert T is not None  # else there would be doubt
+        if seen.glare > self.settings.glare and state in (State.APPROACHING, State.INSPECTING):
+            self._back_off(seen, "the picture is too bright: the wall is near")
+        acts = {
+            State.RETREATING: self._retreat,
+            State.APPROACHING: self._approach,
+            State.INSPECTING: self._inspect,
+            State.BACKING_OFF: self._go_back,
+        }
+        return acts[self.machine.state](seen, T)
+
+    def _look(self, seen: Perception, doubt: str) -> Wish:
+        """Stand still until the place is known; then go on, or after a while withdraw."""
+        s = self.settings
+        if not doubt and seen.seen_s > self.machine.since_s:  # by a picture of where it stands now
+            self._doubts = 0
+            self._go_on(seen)
+        elif seen.t_s - self.machine.since_s > s.look_s:
+            self._doubts += 1
+            if self._doubts > s.withdrawals:
+                self._finish(seen, f"gave up: {doubt or self.machine.reason}")
+            else:
+                self._pushed_from = seen.insertion_mm
+                self._to(State.WITHDRAWING, seen, doubt)
+        else:
+            self.machine.reason = doubt or self.machine.reason
+        return Wish()
+
+    def _withdraw(self, seen: Perception, doubt: str) -> Wish:
+        """Back where the place was known."""
+        if not doubt or self._pushed_from - seen.insertion_mm >= self.settings.withdraw_mm or self._is_out(seen):
+            self._to(State.LOOKING, seen, doubt or "the place is known again")
+            return Wish()
+        return self._steering.withdraw(seen)
+
+    def _go_on(self, seen: Perception) -> None:
+        """Choose what is next, and begin to go there; where the target stays, so does what was tried."""
+        if self.target < 0:
+            self._choose(seen)
+        if not self.finished:
+            self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
+
+    def _choose(self, seen: Perception) -> None:
+        """The next calyx of the shortest tour through all that are open; those hard to reach or tried come last."""
+        assert seen.T_kidney_camera is not None
+        place = seen.T_kidney_camera[:3, 3]
+        left = [c for c, visit in enumerate(self.visits) if visit.verdict == OPEN]
+        late = [c for c in left if self.visits[c].attempts or not self._feasible(c)]
+        order = self._tour.order(place, left, late)
+        if not order:
+            self._finish(seen, "every calyx was visited")
+            return
+        self.target, self._hits, self._room_mm = order[0], 0, self.settings.room_mm
+        self._inspected_from_s, self._view, self._weighed = None, None, None
+
+    def _feasible(self, calyx: int) -> bool:
+        return route_to(self.kidney, self.kidney.pelvis_mm, calyx, self._limits).feasible
+
+    def _retreat(self, seen: Perception, T: Array) -> Wish:
+        """Back along the way that the scope came, until the way to the target lies ahead."""
+        to = self._ways[self.target]
+        way = self._way or to
+        at, shared = way.place_mm(T[:3, 3]), to.shared_mm(way)
+        if at <= max(shared - self._room_mm * (way is not to), 0.0) or self._is_out(seen):
+            self._way = to
+            self._begin(seen, T)
+            return Wish()
+        return self._steering.retreat(seen, T, way)
+
+    def _is_out(self, seen: Perception) -> bool:
+        """Whether the shaft is all the way back."""
+        return seen.insertion_mm <= _OUT_MM * self._unit
+
+    def _begin(self, seen: Perception, T: Array) -> None:
+        """Begin a way in."""
+        self._place, self._place_s = T[:3, 3], seen.seen_s
+        self._best_mm, self._best_s = self._ways[self.target].place_mm(T[:3, 3]), seen.t_s
+        self._mark = T[:3, 3]
+        self._pushed_from = seen.insertion_mm
+        self._to(State.APPROACHING, seen, f"into calyx {self.visits[self.target].calyx}")
+
+    def _approach(self, seen: Perception, T: Array) -> Wish:
+        """Along the way in, until its end or something else is reached."""
+        s, way, visit = self.settings, self._ways[self.target], self.visits[self.target]
+        place = self._smoothed(seen, T[:3, 3])
+        at = way.place_mm(place)
+        visit.nearest_mm = min(visit.nearest_mm, way.length_mm - at)
+        if way.length_mm - at <= s.standoff_mm or self._share() >= s.done_share:
+            self._inspected_from_s = seen.t_s if self._inspected_from_s is None else self._inspected_from_s
+            self._to(State.INSPECTING, seen, f"looks at the wall of calyx {visit.calyx}")
+            return Wish()
+        if at > self._best_mm + _PROGRESS_MM * self._unit:
+            self._best_mm, self._best_s = at, seen.t_s
+        if self._resists(seen, place):
+            self._back_off(seen, f"meets resistance {way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}")
+            return Wish()
+        if seen.t_s - self._best_s > s.patience_s:
+            self._back_off(seen, f"does not get on {way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}")
+            return Wish()
+        return self._steering.advance(seen, T, way)
+
+    def _smoothed(self, seen: Perception, place_mm: Array) -> Array:
+        """The place (3,) by pictures old and new: one alone is not sharp enough to tell resistance."""
+        if seen.seen_s != self._place_s:
+            self._place_s, self._place = seen.seen_s, self._place + _NEWS * (place_mm - self._place)
+        return self._place
+
+    def _resists(self, seen: Perception, place_mm: Array) -> bool:
+        """Whether the shaft was pushed and the tip did not follow."""
+        pushed = seen.insertion_mm - self._pushed_from
+        if pushed < self.settings.resistance_mm:
+            return False
+        followed = float(np.linalg.norm(place_mm - self._mark))
+        self._pushed_from, self._mark = seen.insertion_mm, place_mm
+        return followed < _FOLLOWS * pushed
+
+    def _back_off(self, seen: Perception, reason: str) -> None:
+        self._pushed_from = seen.insertion_mm
+        self._hits += 1
+        self._to(State.BACKING_OFF, seen, reason)
+
+    def _go_back(self, seen: Perception, T: Array) -> Wish:
+        """A little back, farther each time; then the way in again, or another calyx."""
+        s, visit = self.settings, self.visits[self.target]
+        if self._pushed_from - seen.insertion_mm < s.back_off_mm * self._hits and not self._is_out(seen):
+            return self._steering.retreat(seen, T, self._ways[self.target])
+        visit.attempts += 1
+        if self._hits >= s.attempts:
+            self._close(seen, self.machine.reason)
+        else:
+            self._begin(seen, T)
+        return Wish()
+
+    def _inspect(self, seen: Perception, T: Array) -> Wish:
+        """Turn to the wall that was not seen, until enough was, or no view shows more."""
+        s = self.settings
+        if self._share() >= s.done_share:
+            self._close(seen, "")
+            return Wish()
+        begun = self._inspected_from_s if self._inspected_from_s is not None else seen.t_s
+        if seen.t_s - begun > s.inspect_s:
+            self._close(seen, "the rest was not seen in time")
+            return Wish()
+        if self._view is None:
+            self._weigh(seen, T)
+            return Wish()
+        return self._go_to_view(seen, T, *self._view)
+
+    def _go_to_view(self, seen: Perception, T: Array, plan: ViewPlan, begun_s: float) -> Wish:
+        """Take up a view and hold it."""
+        s = self.settings
+        bend, push = plan.bend_rad - seen.bend_rad, plan.insertion_mm - seen.insertion_mm
+        if np.hypot(*bend) >= _THERE_RAD or abs(push) >= _THERE_MM * self._unit:
+            self._held_from_s = seen.t_s
+        if seen.t_s - self._held_from_s > _HOLD_S or seen.t_s - begun_s > _LONGEST_VIEW_S:
+            self._view = None
+            return Wish()
+        speed = float(np.clip(2.0 * push, -s.advance_mm_s, s.advance_mm_s)) * self._steering.sureness(seen)
+        if push > 0:
+            here = float(self.lumen.clearance_mm(T[None, :3, 3])[0])
+            speed *= self._steering.freedom(T, min(s.clearance_mm, 0.6 * here))
+        return Wish(s.turn_per_s * bend, speed)
+
+    def _weigh(self, seen: Perception, T: Array) -> None:
+        """Weigh a few more views; when all were, go to the best or be done with this calyx."""
+        if self._weighed is None:
+            self._weighed, self._best = self._planner.candidates(seen, T, self.target), None
+        for _ in range(_VIEWS_A_CYCLE):
+            plan = next(self._weighed, None)
+            if plan is None:
+                self._weighed = None
+                if self._best is None or self._best.gain < self.settings.least_gain:
+                    self._close(seen, "no view from here shows more of it")
+                else:
+                    self._view, self._held_from_s = (self._best, seen.t_s), seen.t_s
+                return
+            if self._best is None or plan.gain > self._best.gain:
+                self._best = plan
+
+    def _share(self) -> float:
+        """Part of the target's wall that was seen, of what the scope can see of it."""
+        own = (self.coverage.patches.calyx == self.target) & self.coverage.in_reach
+        area = self.coverage.patches.area_mm2
+        total = float(area[own].sum())
+        share = float(area[own & self.coverage.seen()].sum()) / total if total > 0 else 0.0
+        self.visits[self.target].share = share
+        return share
+
+    def _close(self, seen: Perception, reason: str) -> None:
+        """Be done with the target, for good or bad, and go on to the next."""
+        visit, share = self.visits[self.target], self._share()
+        if share >= self.settings.done_share:
+            visit.verdict, visit.reason = INSPECTED, ""
+        elif share >= self.coverage.settings.glimpsed:
+            visit.verdict, visit.reason = PARTLY, reason
+        else:
+            visit.verdict, visit.reason = OUT_OF_REACH, reason
+        self.target = -1
+        self._choose(seen)
+        if not self.finished:
+            self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
+
+    def _finish(self, seen: Perception, reason: str) -> None:
+        for visit in self.visits:
+            if visit.verdict == OPEN:
+                visit.verdict, visit.reason = (PARTLY if visit.share else OUT_OF_REACH), reason
+        self.target = -1
+        self._to(State.FINISHED, seen, reason)

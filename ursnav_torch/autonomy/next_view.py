@@ -1,0 +1,96 @@
+"""The next best view: of the poses that the scope can take from here, the one that shows most wall not yet seen.
+
+Greedy next-best-view planning (Connolly, ICRA 1985) over bends and small advances that kinematics and walls allow.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy.perception import Perception
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.geometry import inverse
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.kinematics import Segment
+
+Array = NDArray[np.float64]
+
+#: Bends away from the present one that are tried, in these directions, and advances along the curve, mm at scale 1.
+_BENDS_RAD, _DIRECTIONS = np.radians([20.0, 45.0, 70.0]), 6
+_ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
+#: Where a bend is cut off by a wall is looked for in so many steps.
+_SHARES = np.linspace(0.0, 1.0, 17)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPlan:
+    """A view to go to.
+
+    Attributes:
+        bend_rad: (2,) the robot's bend there.
+        insertion_mm: its insertion there.
+        gain: part of the calyx's wall, of what the scope can see of it, that this view adds.
+    """
+
+    bend_rad: Array
+    insertion_mm: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class ViewPlanner:
+    """Plans views in one kidney.
+
+    Attributes:
+        coverage: what was seen so far.
+        lumen: the walls.
+        segment: the scope's bending tip.
+        kept_mm: how near the tip may come to the wall, mm of this kidney.
+        largest_bend_rad: of the tip.
+    """
+
+    coverage: Coverage
+    lumen: LumenDistance
+    segment: Segment
+    kept_mm: float
+    largest_bend_rad: float
+
+    def candidates(self, seen: Perception, T: Array, calyx: int) -> Iterator[ViewPlan]:
+        """Views from a pose (4, 4) one by one, as each costs a cast of rays: what each adds to a calyx (index)."""
+        own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
+        area = self.coverage.patches.area_mm2
+        total = max(float(area[own].sum()), 1e-9)
+        wanted = own & ~self.coverage.seen()
+        for advance in (self.lumen.scale * mm for mm in _ADVANCES_MM):
+            if seen.insertion_mm + advance < 0:
+                continue
+            for bend in self._bends(seen.bend_rad):
+                found = self._pose(T, seen.bend_rad, bend, advance)
+                if found is not None:
+                    view = self.coverage.in_view(found)
+                    gain = float(area[view[wanted[view]]].sum()) / total
+                    yield ViewPlan(bend, seen.insertion_mm + advance, gain)
+
+    def _bends(self, now: Array) -> list[Array]:
+        turns = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
+        away = [r * np.array([np.cos(t), np.sin(t)]) for r in _BENDS_RAD for t in turns]
+        bends = [np.asarray(now, float), *(now + a for a in away)]
+        return [b for b in bends if np.hypot(*b) <= self.largest_bend_rad]
+
+    def _pose(self, T: Array, bend_now: Array, bend: Array, advance_mm: float) -> Array | None:
+        """The pose (4, 4) after a change of bend and an advance; None where a wall is in the way of advancing.
+
+        A bend that meets a wall turns the tip and takes it as far as the wall lets it.
+        """
+        straight = inverse(self.segment.point_transform(bend_now))
+        base = T @ straight @ self.segment.point_transform(bend_now, self.segment.length_mm + advance_mm)
+        ahead = T[:3, 3] + _SHARES[:, None] * (base[:3, 3] - T[:3, 3])
+        if advance_mm > 0 and self.lumen.clearance_mm(ahead).min() < self.kept_mm:
+            return None
+        found = base @ straight @ self.segment.point_transform(bend)
+        swing = base[:3, 3] + _SHARES[:, None] * (found[:3, 3] - base[:3, 3])
+        free = self.lumen.clearance_mm(swing) >= self.kept_mm
+        found[:3, 3] = swing[max(int(free.argmin()) - 1, 0) if not free.all() else -1]
+        return found

@@ -1,0 +1,71 @@
+"""How an exploration goes by itself."""
+
+from dataclasses import dataclass
+
+from ursnav_torch.errors import InputError
+
+ASSIST, EXPLORE = MODES = ("assist", "explore")
+
+
+@dataclass(frozen=True, slots=True)
+class AutonomySettings:
+    """What autonomy does and how carefully; mm at the kidney's scale 1.
+
+    Attributes:
+        mode: ``explore`` moves everything; ``assist`` bends, and the person inserts.
+        advance_mm_s, retreat_mm_s, withdraw_mm_s: the slider's speeds: in, back along a known way, back in doubt.
+        turn_per_s: share of the angle to where it steers that is turned in a second.
+        ahead_mm: how far ahead on the way it steers for.
+        clearance_mm: the tip is kept this far from the wall as the model has it; in a neck, from less of its radius.
+        standoff_mm: a way in ends this far before the calyx's tip.
+        room_mm: so far before a branching the turn into the other branch begins.
+        sure_sd_mm, doubtful_sd_mm: deviation of the position up to which it goes at full speed, and from which not on.
+        stale_s: a place older than this is not known any more.
+        look_s: how long it stands and looks before it withdraws.
+        withdraw_mm: how far it withdraws before it looks again.
+        withdrawals: after so many in a row without a place it gives up.
+        resistance_mm: pushed this far without getting on, it meets resistance.
+        back_off_mm: how far it backs off then.
+        attempts: ways into a calyx that are tried before it counts as out of reach.
+        patience_s: an attempt that gets nowhere ends after this.
+        inspect_s: a calyx whose wall is not seen after so long is left as it is.
+        done_share: part of a calyx's wall, of what the scope can see of it, that must be seen.
+        least_gain: part of it that another view must add to be worth going to.
+        glare: share of a picture too bright to see anything from which on the wall is too near.
+    """
+
+    mode: str = EXPLORE
+    advance_mm_s: float = 4.0
+    retreat_mm_s: float = 6.0
+    withdraw_mm_s: float = 2.0
+    turn_per_s: float = 3.0
+    ahead_mm: float = 3.5
+    clearance_mm: float = 0.8
+    standoff_mm: float = 3.0
+    room_mm: float = 2.0
+    sure_sd_mm: float = 0.7
+    doubtful_sd_mm: float = 2.5
+    stale_s: float = 0.6
+    look_s: float = 2.0
+    withdraw_mm: float = 4.0
+    withdrawals: int = 8
+    resistance_mm: float = 1.5
+    back_off_mm: float = 1.5
+    attempts: int = 3
+    patience_s: float = 12.0
+    inspect_s: float = 30.0
+    done_share: float = 0.9
+    least_gain: float = 0.015
+    glare: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise InputError(f"autonomy.mode={self.mode!r} is none of {', '.join(MODES)}; autonomy=none does without.")
+        speeds = (self.advance_mm_s, self.retreat_mm_s, self.withdraw_mm_s, self.turn_per_s, self.ahead_mm)
+        if min(speeds) <= 0 or min(self.attempts, self.withdrawals) < 1:
+            raise InputError(f"Autonomy needs speeds above 0 and at least one attempt and withdrawal, got {self}.")
+        if not 0 < self.sure_sd_mm < self.doubtful_sd_mm or not 0 < self.done_share <= 1:
+            raise InputError(
+                "Autonomy needs 0 < sure_sd_mm < doubtful_sd_mm and 0 < done_share <= 1, got "
+                f"{self.sure_sd_mm}, {self.doubtful_sd_mm} and {self.done_share}."
+            )

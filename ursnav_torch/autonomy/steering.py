@@ -1,0 +1,124 @@
+"""Steering: from a pose and a way to rates of bend and insertion. Image-based visual servoing on the localized pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy.perception import Perception, Wish
+from ursnav_torch.autonomy.settings import AutonomySettings
+from ursnav_torch.exploration.route import along
+from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kinematics import Segment, turn_towards
+
+Array = NDArray[np.float64]
+
+#: Cosine of the angle to the way from which on the scope does not advance but only turn: 41 degrees.
+_ASKEW = 0.75
+#: In a neck narrower than the clearance asked for, this part of its radius is kept.
+_NECK_SHARE = 0.6
+#: How far along the optical axis clearance is looked up, mm at scale 1.
+_LOOK_MM = 1.0
+
+
+class Way:
+    """The way in along the centerline, from its root to a calyx's tip.
+
+    Attributes:
+        calyx: index of the calyx.
+        points_mm, radius_mm: (K, 3) and (K,), of the centerline.
+        along_mm: (K,) length of the way up to each.
+    """
+
+    def __init__(self, kidney: Kidney, calyx: int) -> None:
+        path = kidney.centerline.path_to(calyx)
+        self.calyx, self._path = calyx, path
+        self.points_mm, self.radius_mm = kidney.centerline.points_mm[path], kidney.centerline.radius_mm[path]
+        self.along_mm = along(self.points_mm)
+
+    @property
+    def length_mm(self) -> float:
+        """From root to tip."""
+        return float(self.along_mm[-1])
+
+    def shared_mm(self, other: "Way") -> float:
+        """How far two ways are one."""
+        count = min(len(self._path), len(other._path))
+        apart = np.flatnonzero(self._path[:count] != other._path[:count])
+        return float(self.along_mm[(int(apart[0]) if len(apart) else count) - 1])
+
+    def place_mm(self, position_mm: Array) -> float:
+        """How far along the way a place (3,) is."""
+        steps = np.diff(self.points_mm, axis=0)
+        length = np.maximum(np.linalg.norm(steps, axis=1), 1e-9)
+        share = np.clip(np.einsum("ij,ij->i", position_mm - self.points_mm[:-1], steps) / length**2, 0, 1)
+        away = np.linalg.norm(self.points_mm[:-1] + share[:, None] * steps - position_mm, axis=1)
+        nearest = int(away.argmin())
+        return float(self.along_mm[nearest] + share[nearest] * length[nearest])
+
+    def point_at(self, mm: float) -> Array:
+        """(3,) the point so far along the way, its end beyond it."""
+        return np.array([np.interp(mm, self.along_mm, self.points_mm[:, i]) for i in range(3)])
+
+    def radius_at(self, mm: float) -> float:
+        """The lumen's radius there, mm."""
+        return float(np.interp(mm, self.along_mm, self.radius_mm))
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """Steers a scope in one kidney; all lengths in mm of this kidney.
+
+    Attributes:
+        lumen: its walls.
+        segment: the scope's bending tip.
+        settings: how carefully.
+    """
+
+    lumen: LumenDistance
+    segment: Segment
+    settings: AutonomySettings
+
+    def advance(self, seen: Perception, T: Array, way: Way) -> Wish:
+        """From a pose (4, 4) turn towards the way ahead, and go on while it lies ahead and the wall is not near."""
+        at = way.place_mm(T[:3, 3])
+        goal = way.point_at(min(at + self.settings.ahead_mm, way.length_mm))
+        cosine = self._cosine(T, goal)
+        speed = self.settings.advance_mm_s * max(0.0, (cosine - _ASKEW) / (1 - _ASKEW))
+        kept = min(self.settings.clearance_mm, _NECK_SHARE * way.radius_at(at + _LOOK_MM * self.lumen.scale))
+        return Wish(self.turn(seen, T, goal), speed * self.sureness(seen) * self.freedom(T, kept))
+
+    def retreat(self, seen: Perception, T: Array, way: Way) -> Wish:
+        """From a pose (4, 4) pull back along a way, and keep looking where it leads."""
+        goal = way.point_at(min(way.place_mm(T[:3, 3]) + self.settings.ahead_mm, way.length_mm))
+        return Wish(self.turn(seen, T, goal), -self.settings.retreat_mm_s * self.sureness(seen))
+
+    def withdraw(self, seen: Perception) -> Wish:
+        """Pull back without a place, letting the bend go as the shaft comes back."""
+        return Wish(-0.3 * np.asarray(seen.bend_rad), -self.settings.withdraw_mm_s)
+
+    def turn(self, seen: Perception, T: Array, goal_mm: Array) -> Array:
+        """Bend rates (2,) that bring the optical axis of a pose (4, 4) towards a point (3,)."""
+        turn = turn_towards((goal_mm - T[:3, 3]) @ T[:3, :3])
+        return self.settings.turn_per_s * self.segment.bend_for_turn(seen.bend_rad, turn)
+
+    def sureness(self, seen: Perception) -> float:
+        """Speed by certainty: 1 where the place is sure, 0.15 where it is in doubt."""
+        s = self.settings
+        if seen.position_sd_mm is None:
+            return 1.0
+        doubt = (seen.position_sd_mm - s.sure_sd_mm) / (s.doubtful_sd_mm - s.sure_sd_mm)
+        return float(np.clip(1.0 - doubt, 0.15, 1.0))
+
+    def freedom(self, T: Array, kept_mm: float) -> float:
+        """Speed by clearance at a pose (4, 4): 1 where the wall ahead is twice as far off as it is kept, 0 where that near."""
+        ahead = T[:3, 3] + T[:3, 2] * _LOOK_MM * self.lumen.scale
+        here, there = self.lumen.clearance_mm(np.stack([T[:3, 3], ahead]))
+        if there >= here:  # whoever gets away from the wall may
+            return 1.0
+        return float(np.clip((there - kept_mm) / max(kept_mm, 1e-9), 0.0, 1.0))
+
+    @staticmethod
+    def _cosine(T: Array, goal_mm: Array) -> float:
+        way = goal_mm - T[:3, 3]
+        return float(way @ T[:3, 2] / max(float(np.linalg.norm(way)), 1e-9))

@@ -1,0 +1,122 @@
+"""Autonomy's hands: an input device that adds what an explorer wishes to what the operator's hands allow.
+
+It stands where a gamepad stands, so that everything it asks for passes the same gate, limits and watchdog.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy import ASSIST, AutonomySettings, Explorer, Perception, Permission, Wish
+from ursnav_torch.devices import Gamepad, OperatorInput, Robot
+from ursnav_torch.devices.robots.safety import ARMED, STOPPED
+from ursnav_torch.errors import InputError
+from ursnav_torch.navigation.navigator import Navigator
+from ursnav_torch.session import Rig
+
+#: Gray level from which on a pixel shows nothing.
+_TOO_BRIGHT = 250
+#: What an explorer is told, given what the robot reports of itself.
+Perceive = Callable[[Robot], Perception]
+
+
+class Autopilot(Gamepad):
+    """Moves the scope as an explorer wishes while the operator holds the dead-man button and touches no stick.
+
+    A stick that is moved takes over at once; with ``assist`` the operator inserts, and autonomy bends.
+
+    Args:
+        hands: the operator's.
+        robot: what is moved; asked for its gate, its limits and where it stands, never commanded from here.
+        explorer: what goes where.
+        perceive: what is known now.
+        tell: called with the explorer's state and the reason for it, in words, whenever they have changed.
+        quits: whether the session ends when there is nothing left to do.
+    """
+
+    def __init__(
+        self,
+        hands: Gamepad,
+        robot: Robot,
+        explorer: Explorer,
+        perceive: Perceive,
+        tell: Callable[[str], None] = lambda text: None,
+        quits: bool = False,
+    ) -> None:
+        super().__init__()
+        self.hands, self.robot, self.explorer = hands, robot, explorer
+        self._perceive, self._tell, self._quits = perceive, tell, quits
+        self._told = ""
+
+    def read(self) -> OperatorInput:
+        """The operator's input, with autonomy's wish for bend and insertion where that is allowed."""
+        self._check_connected()
+        own = self.hands.read()
+        assists = self.explorer.settings.mode == ASSIST
+        taken_over = bool(own.bend_x or own.bend_y or (own.insertion and not assists))
+        state = self.robot.gate.state
+        may = Permission(own.dead_man and not taken_over, state == ARMED, state == STOPPED or own.emergency_stop)
+        wish = self.explorer.step(self._perceive(self.robot), may)
+        text = f"{self.explorer.machine.state.value}: {self.explorer.machine.reason}"
+        if text != self._told:
+            self._told = text
+            self._tell(text)
+        if self._quits and self.explorer.finished:
+            return replace(own, quit=True)
+        if taken_over or wish.is_still:
+            return own
+        return self._added(own, wish, assists)
+
+    def _added(self, own: OperatorInput, wish: Wish, assists: bool) -> OperatorInput:
+        """The wish as stick deflections; a bend's direction is kept where it would be too fast."""
+        limits = self.robot.limits
+        bend = wish.bend_rad_s / limits.max_bend_rate_rad_s
+        bend = bend / max(1.0, float(np.hypot(*bend)))
+        push = float(np.clip(wish.insertion_mm_s / limits.max_insertion_rate_mm_s, -1.0, 1.0))
+        return replace(own, bend_x=float(bend[0]), bend_y=float(bend[1]), insertion=own.insertion if assists else push)
+
+    def _open(self) -> None:
+        self.hands.connect()
+
+    def _close(self) -> None:
+        self.hands.disconnect()
+
+
+def make_autopilot(
+    navigator: Navigator, hands: Gamepad, rig: Rig, settings: AutonomySettings, quits: bool
+) -> Autopilot:
+    """The autopilot of a live session: it is told what the navigator knows, and tells it what it does.
+
+    Raises:
+        InputError: there is no robot to move.
+    """
+    if rig.robot is None:
+        raise InputError("Autonomy moves a robot, but there is none: choose hardware/robot=..., or autonomy=none.")
+    guide = navigator.guide
+    explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits)
+    names = {c.name: i for i, c in enumerate(navigator.vid.kidney.calyces)}
+
+    def perceive(robot: Robot) -> Perception:
+        state, at = navigator.bus.latest(), robot.reported
+        frame = state.frame
+        return Perception(
+            time.monotonic(),
+            state.T_kidney_camera,
+            frame.stamp.t_mono_s if frame is not None else 0.0,
+            tuple(names[name] for name in state.calyces if name in names),
+            state.position_sd_mm,
+            np.array([at.bend_x_rad, at.bend_y_rad]),
+            at.insertion_mm,
+            glare_share(frame.image) if frame is not None else 0.0,
+        )
+
+    return Autopilot(hands, rig.robot, explorer, perceive, navigator.say_autonomy, quits)
+
+
+def glare_share(image: NDArray[np.uint8]) -> float:
+    """Share of a picture (H, W) or (H, W, 3) that is too bright to show anything; every fourth pixel is asked."""
+    few = image[::4, ::4]
+    return float(np.mean((few if few.ndim == 2 else few.min(axis=2)) >= _TOO_BRIGHT))

@@ -1,0 +1,186 @@
+"""An exploration rehearsed in simulated time: explorer, hands, gate and limits as live, and no clock but its own.
+
+Whether a machine is slow or fast changes nothing: control, pictures and the twin move in steps of one simulated clock,
+and a picture's answer arrives after a latency that is told.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy import Explorer, Perception
+from ursnav_torch.devices import CommandSample, Gamepad, Note, OperatorInput, Robot, Stamper
+from ursnav_torch.devices.robots.safety import ARMED
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.navigation.autopilot import Autopilot
+from ursnav_torch.session.control import Control
+from ursnav_torch.simulation import SteppedRobot, Twin
+
+Array = NDArray[np.float64]
+
+#: Cycles of control a second, as live.
+CONTROL_HZ = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What was made of one picture.
+
+    Attributes:
+        T_kidney_camera: (4, 4) the pose, None where it was not believed.
+        calyces: indices of the calyces that it may show.
+        position_sd_mm: how far off it may be; None where nobody says.
+        settled: whether the wall seen may be counted.
+    """
+
+    T_kidney_camera: Array | None
+    calyces: tuple[int, ...] = ()
+    position_sd_mm: float | None = None
+    settled: bool = True
+
+
+#: Makes a sighting of the scope as it is at a time, s.
+Locate = Callable[[Twin, float], Sighting]
+
+
+class SimulatedOperator(Gamepad):
+    """Arms at first and holds the dead-man button for as long as ``holds`` says so, by simulated time."""
+
+    def __init__(self, clock: Callable[[], float], holds: Callable[[float], bool] = lambda t_s: True) -> None:
+        super().__init__()
+        self._stamp, self._clock, self._holds = Stamper(clock), clock, holds
+        self._armed = False
+
+    def read(self) -> OperatorInput:
+        """The button, and one press of the button that arms."""
+        arm, self._armed = not self._armed, True
+        return OperatorInput(self._stamp(), arm=arm, dead_man=self._holds(self._clock()))
+
+    def _open(self) -> None: ...
+
+    def _close(self) -> None: ...
+
+
+@dataclass(slots=True)
+class Rehearsed:
+    """What a rehearsal brought.
+
+    Attributes:
+        t_s, T_kidney_camera, states: at every picture: when, the true pose (4, 4), and the explorer's state.
+        pressed_mm: the largest compression of the shaft since the picture before.
+        limited: commands that limits cut.
+        disarmed: how often the watchdog or a stop disarmed the robot.
+        faults: what went wrong.
+    """
+
+    t_s: list[float] = field(default_factory=list)
+    T_kidney_camera: list[Array] = field(default_factory=list)
+    states: list[str] = field(default_factory=list)
+    pressed_mm: list[float] = field(default_factory=list)
+    limited: int = 0
+    disarmed: int = 0
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def path_mm(self) -> float:
+        """Length of the tip's true path, steps between pictures added up."""
+        places = np.array([T[:3, 3] for T in self.T_kidney_camera]).reshape(-1, 3)
+        return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+
+
+class Rehearsal:
+    """Steps through an exploration.
+
+    Args:
+        twin: the scope, driven from here.
+        explorer: what goes where; its coverage is painted from here.
+        locate: makes a sighting of a picture.
+        pictures_per_s: rate of the camera.
+        latency_s: from a picture to its answer.
+        holds: whether the dead-man button is held at a time.
+    """
+
+    def __init__(
+        self,
+        twin: Twin,
+        explorer: Explorer,
+        locate: Locate,
+        pictures_per_s: float = 15.0,
+        latency_s: float = 0.13,
+        holds: Callable[[float], bool] = lambda t_s: True,
+    ) -> None:
+        self.twin, self.explorer, self._locate = twin, explorer, locate
+        self._period_s, self._latency_s = 1 / pictures_per_s, latency_s
+        self.now_s = 0.0
+        self.robot = SteppedRobot(lambda: self.now_s, twin.scope.drive)
+        twin.drive_with(self.robot.axes_mm)
+        operator = SimulatedOperator(lambda: self.now_s, holds)
+        self.autopilot = Autopilot(operator, self.robot, explorer, self._perceive)
+        self._control = Control(self.robot, self.autopilot)
+        self._coming: deque[tuple[float, float, Sighting]] = deque()
+        self._newest: tuple[float, Sighting] = (0.0, Sighting(None))
+        self._painted_s, self._due_s = 0.0, 0.0
+
+    def run(self, longest_s: float = 600.0, truth: Coverage | None = None) -> Rehearsed:
+        """Explore until there is nothing left to do, or for so long; ``truth`` is painted from the true poses."""
+        found = Rehearsed()
+        with self.robot, self.autopilot:
+            pressed, was_armed = 0.0, False
+            while self.now_s < longest_s and not self.explorer.finished:
+                self._arrive()
+                self._count(found)
+                armed = self.robot.gate.state == ARMED
+                found.disarmed += was_armed and not armed
+                was_armed = armed
+                T = self.twin.pose()
+                pressed = max(pressed, self.twin.pressed_mm)
+                if self.now_s >= self._due_s:
+                    self._take(found, T, pressed, truth)
+                    pressed = 0.0
+                self.now_s += 1 / CONTROL_HZ
+        return found
+
+    def _count(self, found: Rehearsed) -> None:
+        """One cycle of control, and what it said."""
+        for event in self._control.step():
+            if isinstance(event, CommandSample):
+                found.limited += event.reason == "limit"
+            elif isinstance(event, Note):
+                found.faults.append(event.text)
+
+    def _take(self, found: Rehearsed, T: Array, pressed: float, truth: Coverage | None) -> None:
+        """A picture is taken; its answer is on its way."""
+        self._due_s += self._period_s
+        self._coming.append((self.now_s + self._latency_s, self.now_s, self._locate(self.twin, self.now_s)))
+        found.t_s.append(self.now_s)
+        found.T_kidney_camera.append(T.copy())
+        found.states.append(self.explorer.machine.state.value)
+        found.pressed_mm.append(pressed)
+        if truth is not None:
+            truth.add(T, self._period_s)
+
+    def _arrive(self) -> None:
+        """Answers whose time has come: the newest counts, and all paint the wall."""
+        while self._coming and self._coming[0][0] <= self.now_s:
+            _, taken_s, sighting = self._coming.popleft()
+            if sighting.T_kidney_camera is not None:
+                self._newest = (taken_s, sighting)
+                if sighting.settled:
+                    self.explorer.coverage.add(sighting.T_kidney_camera, taken_s - self._painted_s)
+            self._painted_s = taken_s
+
+    def _perceive(self, robot: Robot) -> Perception:
+        taken_s, sighting = self._newest
+        at = robot.reported
+        return Perception(
+            self.now_s,
+            sighting.T_kidney_camera,
+            taken_s,
+            sighting.calyces,
+            sighting.position_sd_mm,
+            np.array([at.bend_x_rad, at.bend_y_rad]),
+            at.insertion_mm,
+        )
