@@ -8,7 +8,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_all_start_methods, get_context, parent_process
+from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
 import torch
@@ -20,7 +21,18 @@ Result = TypeVar("Result")
 
 #: Tasks that wait for each child, so that it never waits for one.
 _AHEAD = 8
+#: What children need and take seconds to import; by name, as this module is below them all.
+_IMPORTED_ONCE = ["ursnav_torch.localization", "ursnav_torch.rendering"]
 _work: Callable[[Any], Any] | None = None
+
+
+def child_context() -> BaseContext:
+    """How child processes start: forked from a server that has imported all once, or anew where there is none."""
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(_IMPORTED_ONCE)
+    return context
 
 
 def spare_children(workers: int | None = None) -> int:
@@ -48,8 +60,8 @@ def in_order(make: Callable[[], Callable[[Task], Result]], tasks: Iterable[Task]
     if children <= 0:
         yield from map(make(), tasks)
         return
-    context = get_context("spawn")
-    with ProcessPoolExecutor(children, mp_context=context, initializer=_begin, initargs=(pickle.dumps(make),)) as pool:
+    initargs = (pickle.dumps(make),)
+    with ProcessPoolExecutor(children, child_context(), initializer=_begin, initargs=initargs) as pool:
         waiting: deque[Future[bytes]] = deque()
         try:
             for task in tasks:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -16,7 +15,7 @@ import torch
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.extras import import_extra
-from ursnav_torch.processes import start_worker
+from ursnav_torch.processes import child_context, start_worker
 from ursnav_torch.vid.store import package_version
 
 Result = TypeVar("Result")
@@ -46,7 +45,7 @@ class LocalCompute:
                 for task in tasks:
                     yield work(shared, *task)
             return
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
+        with ProcessPoolExecutor(workers, mp_context=child_context(), initializer=start_worker) as pool:
             pending = {pool.submit(work, shared, *task) for task in tasks}
             try:
                 yield from _as_they_end(pending)
