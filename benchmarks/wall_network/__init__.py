@@ -66,12 +66,12 @@ def _drawn(seed: int, work: Path) -> None:
     lesson(seed, work)
 
 
-def taken(seeds: Sequence[int], work: Path) -> Batch:
+def taken(seeds: Sequence[int], work: Path, crowded: bool = False) -> Batch:
     """The lessons of several phantoms as one batch."""
     parts = []
     torch.set_num_threads(1)  # a picture at a time is too little to share
     for seed in seeds:
-        found = lesson(seed, work)
+        found = lesson(seed, work, crowded)
         if found is not None:
             parts.append(batch_of(found))
     return join(parts)

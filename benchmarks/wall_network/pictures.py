@@ -13,13 +13,26 @@ from ursnav_torch.errors import UrsnavError
 from ursnav_torch.features.network import NATIVE_PX
 from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer, WarpSettings, deform_mesh
-from ursnav_torch.rendering.sensor.presets import IN_VIVO_LIKE, THESIS_PHANTOM, THESIS_SIMULATION, WIDE, draw_faults
+from ursnav_torch.rendering.sensor.presets import (
+    IN_VIVO_LIKE,
+    THESIS_PHANTOM,
+    THESIS_SIMULATION,
+    WIDE,
+    Preset,
+    Span,
+    draw_faults,
+)
 from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate_labeled
 from ursnav_torch.vid import PlanSettings, plan_views
 
 #: Pictures of a phantom, and how many of them share a lens and a deformation.
 PER_PHANTOM, PER_LENS = 160, 20
 MODELS = ("equidistant", "pinhole")
+#: `WIDE` with something before the wall in most pictures.
+CROWDED: Preset = {
+    **WIDE, "bodies.stones": Span(1, 3, share=0.65), "bodies.stone_mm": Span(0.7, 5.0, log=True),
+    "bodies.instrument_mm": Span(2.0, 13.0, share=0.65), "bodies.instrument_lean": Span(-0.1, 0.5),
+}  # fmt: skip
 Rng = np.random.Generator
 
 
@@ -48,22 +61,26 @@ class Lesson:
         return Camera(MODELS[int(model)], size, size, focal, focal, middle, middle, fov_deg=fov or None)
 
 
-def lesson(seed: int, folder: Path) -> Lesson | None:
-    """The lesson of one phantom, drawn where the folder does not hold it; None where the phantom cannot be planned."""
-    path = folder / f"{seed}.npz"
+def lesson(seed: int, folder: Path, crowded: bool = False) -> Lesson | None:
+    """The lesson of one phantom, drawn where the folder does not hold it; None where the phantom cannot be planned.
+
+    In a crowded one most of the pictures show stones and an instrument.
+    """
+    name = f"{seed}_crowded" if crowded else str(seed)
+    path = folder / f"{name}.npz"
     if not path.exists():
-        drawn = draw_lesson(seed)
+        drawn = draw_lesson(seed, CROWDED if crowded else WIDE)
         if drawn is None:
             return None
-        partial = folder / f"{seed}.partial.npz"
+        partial = folder / f"{name}.partial.npz"
         np.savez(partial, **{name: getattr(drawn, name) for name in Lesson.__slots__})
         os.replace(partial, path)
     with np.load(path) as data:
         return Lesson(*(data[name] for name in Lesson.__slots__))
 
 
-def draw_lesson(seed: int) -> Lesson | None:
-    """Pictures of one phantom from places all over it; None where its plan has too few."""
+def draw_lesson(seed: int, widest: Preset = WIDE) -> Lesson | None:
+    """Pictures of one phantom from places all over it, most of a preset; None where its plan has too few."""
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
     try:
@@ -78,7 +95,7 @@ def draw_lesson(seed: int) -> Lesson | None:
             renderer = _renderer(kidney, rng)
         T = plan.T_kidney_camera[view]
         drawn = renderer.render(T)
-        labeled = simulate_labeled(drawn, renderer.camera, T, _faults(rng), rng)
+        labeled = simulate_labeled(drawn, renderer.camera, T, _faults(rng, widest), rng)
         image = labeled.image
         if rng.random() < 0.05:  # a gray camera
             image = np.repeat(image.mean(2, keepdims=True).astype(np.uint8), 3, 2)
@@ -113,11 +130,11 @@ def _renderer(kidney: Kidney, rng: Rng) -> RaycastRenderer:
     return RaycastRenderer(mesh, camera)
 
 
-def _faults(rng: Rng) -> SensorFaults:
-    """Four of five pictures `WIDE`, most of them through a good sensor; the others of the kinds named in the thesis."""
+def _faults(rng: Rng, widest: Preset) -> SensorFaults:
+    """Four of five of the widest preset, most of them through a good sensor; the others of the thesis's kinds."""
     u = rng.random()
     wide = u < 0.8
-    preset = WIDE if wide else IN_VIVO_LIKE if u < 0.9 else THESIS_PHANTOM if u < 0.97 else THESIS_SIMULATION
+    preset = widest if wide else IN_VIVO_LIKE if u < 0.9 else THESIS_PHANTOM if u < 0.97 else THESIS_SIMULATION
     faults = draw_faults(preset, rng)
     if wide and rng.random() < 0.6:
         faults = good_sensor(faults, rng)

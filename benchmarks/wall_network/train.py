@@ -42,15 +42,21 @@ class Losses:
 def losses(found: WallReading, truth: Batch) -> Losses:
     """Gaussian likelihood of relief and log depth, the latter's slopes, cross entropy and overlap of foreground."""
     rest = truth.rest.float()
-    log_depth, wall, fore = rest[:, 0], rest[:, 1], rest[:, 2:]
+    log_depth, wall = rest[:, 0], rest[:, 1]
     variance = _at_full_size(found.log_variance.clamp(-4, 3))
     relief = _gaussian(found.relief - truth.relief.float(), variance, _at_full_size(wall))
     count = wall.sum((1, 2)).clamp_min(1)
     centered = found.log_depth - ((found.log_depth * wall).sum((1, 2)) / count)[:, None, None]
     likely = _gaussian(centered - log_depth, found.depth_log_variance.clamp(-6, 2), wall)
-    cross = functional.binary_cross_entropy_with_logits(found.odds, fore, reduction="none") * wall[:, None]
-    edges, overlap = _edges(centered - log_depth, wall), _overlap(found.odds, fore, wall)
-    return Losses(relief, likely, edges, cross.sum() / wall.sum().clamp_min(1), overlap)
+    return Losses(relief, likely, _edges(centered - log_depth, wall), *foreground_losses(found.odds, truth))
+
+
+def foreground_losses(odds: Tensor, truth: Batch) -> tuple[Tensor, Tensor]:
+    """Cross entropy and overlap of logits (N, 3, h, w) of what lies before the wall."""
+    rest = truth.rest.float()
+    wall, fore = rest[:, 1], rest[:, 2:]
+    cross = functional.binary_cross_entropy_with_logits(odds, fore, reduction="none") * wall[:, None]
+    return cross.sum() / wall.sum().clamp_min(1), _overlap(odds, fore, wall)
 
 
 def _at_full_size(x: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ def test_a_stone_is_where_it_was_drawn_in_pixels_of_the_picture() -> None:
 
 
 def test_bodies_come_the_largest_first_each_of_its_likelier_kind() -> None:
-    stone, wire = disk(20, 20, 5, 0.9), disk(70, 70, 10, 0.97)
+    stone, wire = disk(20, 20, 5, SURE + 0.03), disk(70, 70, 10, 0.97)
     found = find_bodies(torch.stack([torch.maximum(stone, 0.9 * wire), wire]), INSIDE, 1.0)
     assert [body.kind for body in found] == ["instrument", "stone"]
 

@@ -15,14 +15,16 @@ from ursnav_torch.features.network import (
     WallNetwork,
     WallReader,
     fold,
+    hues,
     lens_rays,
     packaged_network,
     read_wall,
 )
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.rendering.sensor.bodies import STONE, BodyFaults
+from ursnav_torch.rendering.sensor.bodies import INSTRUMENT, STONE, BodyFaults
 from ursnav_torch.rendering.sensor.simulate import SensorFaults, simulate_labeled
+from ursnav_torch.rendering.sensor.wall import WallFaults
 from ursnav_torch.vid import Vid
 
 
@@ -101,6 +103,40 @@ def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
         on.append(float(valid[torch.from_numpy(stone > 0.9)].mean()))
         off.append(float(valid[torch.from_numpy(stone == 0) & (valid > 0)].mean()))
     assert len(on) >= 3 and np.median(on) < 0.5 and np.median(off) > 0.85
+
+
+def test_hues_are_those_of_the_picture_left_out_whatever_the_light() -> None:
+    picture = torch.full((1, 3, 8, 8), 4.0)
+    picture[0, 0, :2, :2] += 1.0  # a blue corner
+    light = torch.linspace(-2, 2, 64).view(1, 1, 8, 8)
+    inside = torch.ones(1, 8, 8)
+    found = hues(picture + light, inside)
+    torch.testing.assert_close(found[0, 0, :2, :2], torch.full((2, 2), 2.0), atol=1e-5, rtol=0)
+    assert float(found[0, :, 2:, 2:].abs().max()) < 1e-4 and float(found[0, 2, :2, :2].min()) == 5.0
+    inside[:, :, :4] = 0
+    assert float(hues(picture, inside)[..., :4].abs().max()) == 0 and torch.isfinite(hues(picture, 0 * inside)).all()
+
+
+def test_gray_pictures_have_no_hues() -> None:
+    gray = torch.rand(2, 1, 8, 8).expand(2, 3, 8, 8)
+    assert float(hues(gray, torch.ones(2, 8, 8)).abs().max()) == 0
+
+
+@pytest.mark.parametrize(("wall", "fiber"), [((0.4, 0.45, 0.9), (0.9, 0.4, 0.1)), ((0.3, 0.8, 0.4), (0.8, 0.2, 0.9))])
+def test_a_fiber_of_another_color_than_the_wall_is_told(
+    vid: Vid, phantom: Kidney, wall: tuple[float, float, float], fiber: tuple[float, float, float]
+) -> None:
+    """Blue on red, and colors that nobody has seen in a kidney."""
+    renderer, rng = RaycastRenderer(phantom.mesh, vid.camera), np.random.default_rng(6)
+    extractor = DefaultExtractor(DefaultSettings(), vid.camera)
+    bodies = BodyFaults(instrument_mm=8.0, instrument_radius_mm=0.35, instrument_lean=0.2, instrument_bgr=fiber)
+    faults, told, seen = SensorFaults(wall=WallFaults(color_bgr=wall), bodies=bodies), 0, 0
+    for T in vid.T_kidney_camera[::5]:
+        drawn = simulate_labeled(renderer.render(T), vid.camera, T, faults, rng)
+        if (drawn.kind == INSTRUMENT).mean() > 0.02:
+            seen += 1
+            told += any(b.kind == "instrument" for b in extractor.extract(drawn.image, edges=False).bodies)
+    assert seen >= 8 and told >= 0.75 * seen
 
 
 def test_drawn_views_and_photometric_relief_ask_no_network(vid: Vid, phantom: Kidney) -> None:

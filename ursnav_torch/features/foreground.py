@@ -12,7 +12,7 @@ KINDS = ("stone", "instrument")
 #: A region's pixels are at least this probable.
 _EDGE = 0.4
 #: A region is told when it is this probable; chosen by ``python -m benchmarks.wall_network.stones``.
-SURE = 0.8
+SURE = 0.9
 #: Share of the picture that a region covers at least.
 _SMALLEST = 0.003
 

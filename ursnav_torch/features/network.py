@@ -32,6 +32,9 @@ WEIGHTS = "wall_network.safetensors"
 #: Px of the picture, each way, that the network sees as one.
 CELL = 4
 _WIDTHS = (32, 64, 96)
+_BEFORE_WIDTH = 24  # of the branch that tells what lies before the wall
+_HUES = 3  # channels of `hues`
+_LEAST_HUE, _MOST_HUE = 0.05, 5.0  # a hue's usual size is at least, and its ratio to it at most, so much
 _MEAN_LOG = 4.3  # of a picture's log values, about
 
 
@@ -55,10 +58,13 @@ class WallReading:
 
 
 class WallNetwork(nn.Module):
-    """The U-Net, 0.28 million weights; pictures (N, 3, H, W) and rays (N, 3, H, W) in, `WallReading` out.
+    """The U-Net, 0.3 million weights; pictures (N, 3, H, W) and rays (N, 3, H, W) in, `WallReading` out.
 
     It works at a quarter of the picture's size: 4 x 4 px go in at once, and the relief's come out as channels (Shi et
-    al., CVPR 2016), which is what makes it fast enough for a camera on one core.
+    al., CVPR 2016), which is what makes it fast enough for a camera on one core. What lies before the wall is told
+    by a branch of its own, which sees the finest channels beside the last ones, and how each pixel's hue differs from
+    the wall's: it is taught after the rest, from pictures most of which show stones and instruments, and the wall is
+    read as before.
     """
 
     def __init__(self) -> None:
@@ -70,7 +76,8 @@ class WallNetwork(nn.Module):
         self.whole = nn.Linear(c, c)
         self.up2 = nn.Sequential(_Block(c + b, b, size=1), _Block(b, b))
         self.up1 = nn.Sequential(_Block(b + a, a, size=1), _Block(a, a))
-        self.head = nn.Conv2d(a, CELL * CELL + 3 + len(FOREGROUND), 3, padding=1)
+        self.head = nn.Conv2d(a, CELL * CELL + 3, 3, padding=1)
+        self.before = _Before(2 * a + _HUES * CELL * CELL)
 
     def forward(self, picture_bgr: Tensor, rays: Tensor) -> WallReading:
         """Read pictures (N, 3, H, W), 0 to 255, with unit rays' x and y and the lens's mask (N, 3, H, W)."""
@@ -80,10 +87,11 @@ class WallNetwork(nn.Module):
         middle = self.down2(fine)
         coarse = self.down3(middle)
         coarse = coarse + functional.silu(self.whole(coarse.mean((2, 3))))[..., None, None]
-        y = self.up1(_beside(self.up2(_beside(coarse, middle)), fine))
-        y, cells = self.head(y), CELL * CELL
+        last = self.up1(_beside(self.up2(_beside(coarse, middle)), fine))
+        y, cells = self.head(last), CELL * CELL
         relief = functional.pixel_shuffle(y[:, :cells], CELL)[:, 0]
-        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], y[:, cells + 3 :])
+        odds = self.before(torch.cat([last, fine, _cells(hues(log_image, rays[:, 2]))], 1))
+        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], odds)
 
 
 def read_wall(picture_bgr: Tensor, rays: Tensor, network: WallNetwork | None = None) -> WallReading:
@@ -162,6 +170,52 @@ class _Block(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """The block's answer (N, out, h, w)."""
         return functional.silu(self.norm(self.convolution(x)), inplace=True)
+
+
+class _Before(nn.Module):
+    """Convolutions that reach farther and farther: logits of `FOREGROUND`."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.each = nn.Conv2d(channels, _BEFORE_WIDTH, 1)
+        self.near = nn.Conv2d(_BEFORE_WIDTH, _BEFORE_WIDTH, 3, padding=1)
+        self.around = nn.Conv2d(_BEFORE_WIDTH, _BEFORE_WIDTH, 3, padding=2, dilation=2)
+        self.far = nn.Conv2d(_BEFORE_WIDTH, _BEFORE_WIDTH, 3, padding=4, dilation=4)
+        self.told = nn.Conv2d(_BEFORE_WIDTH, len(FOREGROUND), 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Logits (N, 3, h, w)."""
+        y = functional.silu(self.each(x))
+        for layer in (self.near, self.around, self.far):
+            y = y + functional.silu(layer(y))
+        return self.told(y)
+
+
+def hues(log_image: Tensor, inside: Tensor) -> Tensor:
+    """How hues (N, 3, H, W) differ from the picture's own, of log pictures (N, 3, H, W) within masks (N, H, W).
+
+    Blue and red against green, less their medians, and the length of both in units of their usual size: what has
+    another color than most of the picture is hardly wall, whatever the light. All are 0 in gray pictures.
+    """
+    inside = inside[:, None]
+    against = log_image[:, ::2] - log_image[:, 1:2]
+    off = (against - _median(against, inside)) * inside
+    length = off.square().sum(1, keepdim=True).sqrt()
+    return torch.cat([2 * off, (length / (_median(length, inside) + _LEAST_HUE)).clamp_max(_MOST_HUE)], 1)
+
+
+def _median(x: Tensor, inside: Tensor) -> Tensor:
+    """Medians (N, C, 1, 1) of (N, C, H, W) over every other row and column of masks (N, 1, H, W), 0 of nothing."""
+    seen = torch.where(inside > 0, x, torch.nan)[..., ::2, ::2].flatten(2)
+    return seen.nanmedian(2).values.nan_to_num()[..., None, None]
+
+
+def _cells(x: Tensor) -> Tensor:
+    """The pixels (N, C, H, W) of every cell as channels; torch's own way does not take no pictures."""
+    n, channels, height, width = x.shape
+    shape = (height // CELL, width // CELL)
+    apart = x.reshape(n, channels, shape[0], CELL, shape[1], CELL).permute(0, 1, 3, 5, 2, 4)
+    return apart.reshape(n, channels * CELL * CELL, *shape)
 
 
 def _beside(coarse: Tensor, fine: Tensor) -> Tensor:
