@@ -23,3 +23,11 @@ TRUTH_COLUMNS = ("image", "calyx", *POSE_COLUMNS)
 EM_COLUMNS = ("x_mm", "y_mm", "z_mm", "dx", "dy", "dz")
 #: Landmarks in both frames.
 LANDMARK_COLUMNS = ("kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")
+#: Stones known before, from a scan: place of the middle and longest diameter.
+KNOWN_STONE_COLUMNS = ("stone", "x_mm", "y_mm", "z_mm", "size_mm")
+#: Stones that `track` and `navigate` saw: ``known`` names the stone of the scan that it is, ``state`` is ``there``,
+#: ``gone`` or ``not found``, ``frame`` the picture that shows it best.
+STONE_COLUMNS = (
+    *("stone", "calyx", "x_mm", "y_mm", "z_mm", "size_mm", "pictures", "confidence"),
+    *("size_sd_mm", "position_sd_mm", "state", "known", "frame"),
+)

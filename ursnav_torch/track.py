@@ -5,7 +5,7 @@ from typing import Any
 from ursnav_torch._runner import NOT_DONE, OK, caller_path, progress, runner
 
 #: Overrides that name files besides those that all runners share.
-PATHS = ("source", "em", "em_to_kidney", "tip", "odometry", "truth")
+PATHS = ("source", "em", "em_to_kidney", "tip", "odometry", "truth", "known_stones")
 
 
 @runner("track", paths=PATHS)
@@ -79,12 +79,14 @@ def _besides(config: Any) -> Any:
     """What is made of the rows besides the rows, and the files that the result is bound to."""
     from hydra.utils import instantiate
 
+    from ursnav_torch.runs.stones import read_known_stones
     from ursnav_torch.runs.track_files import Besides, read_truth
 
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
     read = [config[key] for key in PATHS if config[key] is not None]
     inputs = tuple(caller_path(path) for path in read if path != "camera")
-    return Besides(truth, config.tum, inputs, instantiate(config.exploration))
+    known = () if config.known_stones is None else read_known_stones(caller_path(config.known_stones))
+    return Besides(truth, config.tum, inputs, instantiate(config.exploration), known)
 
 
 def _refuse_camera(config: Any, why: str) -> None:

@@ -38,7 +38,7 @@ def jobs(inputs: Path) -> list[Job]:
         Job("build_vid", (*_SMALL, "calibrate=false", "workers=1"), "vid"),
         Job("match", (vid, f"images={pictures}", "report=page"), "rows.csv", ("page",)),
         Job("track", (vid, f"source={pictures}", "tum=true"), "track.csv",
-            ("track.coverage.json", "track.coverage.png", "track.tum")),
+            ("track.coverage.json", "track.coverage.png", "track.stones.csv", "track.stones.png", "track.tum")),
         Job("register", (f"landmarks={inputs}/landmarks.csv",), "em.json"),
         Job("calibrate", (f"images={inputs}/boards", "board=chessboard", "columns=9", "rows=7"), "lens.json",
             ("lens.png", "lens.mask.png")),

@@ -99,7 +99,7 @@ class Record:
 
 def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Record:
     """The track of a flight; from disk where the same code with the same settings made it before."""
-    key = hashlib.sha256((_sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
+    key = hashlib.sha256((sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
     path = seen.folder / f"{'refused' if choice.other else 'track'}_{key}.npz"
     if not path.exists():
         answers = list(_answers(seen, Tracker(vid, **choice.groups()), choice))
@@ -117,7 +117,7 @@ def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
     """The pictures' features, kept as `Tracker.planes` beside the pictures until the extractor changes."""
-    key = hashlib.sha256((_sources(("features",)) + repr(tracker.settings.reading)).encode()).hexdigest()[:10]
+    key = hashlib.sha256((sources(("features",)) + repr(tracker.settings.reading)).encode()).hexdigest()[:10]
     path = seen.folder / f"planes_{key}.npz"
     if not path.exists():
         found = [tracker.extract(image) for image in seen.images()]
@@ -151,7 +151,7 @@ def _told(answer: Tracked) -> list[float]:
     return [answer.score, *seen, *known, off]
 
 
-def _sources(rooms: tuple[str, ...]) -> str:
+def sources(rooms: tuple[str, ...]) -> str:
     """A fingerprint of the code of some rooms, and of what they learned."""
     root = Path(ursnav_torch.__file__).parent
     files = sorted(p for room in rooms for p in (root / room).rglob("*") if p.suffix in (".py", ".json"))

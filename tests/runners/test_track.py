@@ -86,7 +86,8 @@ def test_a_folder_gives_rows_coverage_and_a_picture(run: Run, vid: Vid, folder: 
     assert set(report["calyces"]) == {c.name for c in vid.kidney.calyces}
     assert report["pictures"] and report["next"]["calyx"] in report["calyces"]
     assert cv2.imread(str(out.parent / "track.coverage.png")) is not None
-    assert sorted(p.name for p in out.parent.iterdir()) == ["track.coverage.json", "track.coverage.png", "track.csv"]
+    kinds = ("coverage.json", "coverage.png", "csv", "stones.csv", "stones.png")
+    assert sorted(p.name for p in out.parent.iterdir()) == [f"track.{kind}" for kind in kinds]
     again = run("track", f"vid={vid.folder}", f"source={folder}", f"out={out}")
     assert again.code == 1 and "overwrite=true" in again.err
 

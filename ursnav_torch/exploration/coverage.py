@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney.branches import branch_calyx
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.scaling import scaled
 
@@ -207,22 +208,9 @@ def divide_wall(kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings
 
     center, normal = mean(centers), mean(normals)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return Patches(center, normal, total, calyx_of_wall(center - 0.25 * normal, kidney, lumen, settings), of_face)
-
-
-def calyx_of_wall(points_mm: Array, kidney: Kidney, lumen: LumenDistance, settings: CoverageSettings) -> IntArray:
-    """(P,) the calyx that places on the wall (P, 3) belong to, -1 for none: the nearest tip along the lumen, where
-    it is near and the nearest part of the centerline leads to that calyx alone."""
-    tree = kidney.centerline
-    away = np.maximum(tree.radius_mm, 1e-6)
-    _, nodes = cKDTree(tree.points_mm).query(points_mm, k=min(12, len(away)))
-    nodes = np.asarray(nodes).reshape(len(points_mm), -1)
-    relative = np.linalg.norm(points_mm[:, None] - tree.points_mm[nodes], axis=-1) / away[nodes]
-    node = nodes[np.arange(len(nodes)), relative.argmin(1)]
-    to_tip = lumen.to_calyces(points_mm)
-    nearest = to_tip.argmin(1)
-    near = to_tip.min(1) <= scaled(settings, kidney.scale).calyx_mm
-    return np.where(near & (tree.calyx[node] == nearest), nearest, -1)
+    within = scaled(settings, kidney.scale).calyx_mm
+    calyx = branch_calyx(center - 0.25 * normal, kidney, lumen, within)
+    return Patches(center, normal, total, calyx, of_face)
 
 
 def _half_field(camera: Camera) -> float:

@@ -97,6 +97,11 @@ class DefaultExtractor:
         self._partial = False  # whether pictures show less than the views, which are drawn through the whole lens
         self._network = WallReader(self.working_camera, self._small_mask) if settings.learned else None
 
+    @property
+    def lens_mask(self) -> Tensor:
+        """(h, w) 1.0 where the reduced picture is to be trusted."""
+        return self._small_mask
+
     def extract(self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True) -> Features:
         """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few."""
         check_image(image, self.camera)

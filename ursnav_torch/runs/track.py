@@ -13,15 +13,18 @@ from ursnav_torch.camera import PictureCut
 from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, SourceAtEndError
 from ursnav_torch.errors import InputError
-from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, write_image, write_json
+from ursnav_torch.kidney import Kidney
 from ursnav_torch.reports.coverage import draw_coverage
+from ursnav_torch.reports.stones import draw_stones
 from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
+from ursnav_torch.runs.stones import write_stones
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
+from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch, compare_stones, stone_sentences
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
@@ -73,7 +76,7 @@ def track_source(
     }
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
-            summary, ended = _tracked(tracker, source, whole, instruments, progress, offline, besides.exploration)
+            summary, ended = _tracked(tracker, source, whole, instruments, progress, offline, besides)
             whole.outcome = [summary + besides.write(whole), ended]
     told, ended = whole.outcome
     return str(told), bool(ended)
@@ -81,7 +84,8 @@ def track_source(
 
 def track_results(out: Path, besides: Besides) -> tuple[Path, ...]:
     """The files that `track_source` makes, the rows first."""
-    return (out, *(out.with_suffix(f".coverage.{kind}") for kind in ("json", "png")), *besides.paths(out))
+    kinds = ("coverage.json", "coverage.png", "stones.csv", "stones.png")
+    return (out, *(out.with_suffix(f".{kind}") for kind in kinds), *besides.paths(out))
 
 
 def _tracked(
@@ -91,21 +95,22 @@ def _tracked(
     instruments: Instruments | None,
     progress: Progress,
     offline: bool,
-    exploration: ExplorationSettings,
+    besides: Besides,
 ) -> tuple[str, bool]:
-    """Track, write rows and coverage; the summary, and whether the source was tracked to its end."""
-    out, *beside = whole.paths[:3]
+    """Track, write rows, coverage and stones; the summary, and whether the source was tracked to its end."""
+    out, exploration = whole.paths[0], besides.exploration
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
     spent, start, interrupted = list[float](), time.perf_counter(), False
     with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
         reach = vid.T_kidney_camera[::_REACH_STRIDE]
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, reach, exploration.coverage)
+        watch = StoneWatch(StoneMap(vid.kidney, tracker.lumen, tracker.working_camera, exploration.stones))
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
         with progress(ways * source.length, "pictures, there and back" if offline else "pictures") as advance:
             try:
-                for row, tracked in track_rows(tracker, follow(tracker, source, instruments, advance), coverage):
+                for row, tracked in track_rows(tracker, follow(tracker, source, instruments, advance), coverage, watch):
                     writer.writerow({name: cell(row.get(name)) for name in TRACK_COLUMNS})
                     spent.append(tracked.seconds)
                     states[tracked.state] = states.get(tracked.state, 0) + 1
@@ -118,9 +123,10 @@ def _tracked(
             raise InputError(f"{source.what} gave no picture at all.")
     rate = len(spent) / (time.perf_counter() - start)
     report = coverage_report(coverage, last, exploration.limits)
-    write_json(whole.staged(beside[0]), report | {"pictures": states, "ended": ended})
-    write_image(whole.staged(beside[1]), draw_coverage(coverage))
-    summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate)
+    write_json(whole.staged(whole.paths[1]), report | {"pictures": states, "ended": ended})
+    write_image(whole.staged(whole.paths[2]), draw_coverage(coverage))
+    stones = _write_stones(watch, vid.kidney, besides.known_stones, *(whole.staged(path) for path in whole.paths[3:5]))
+    summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate) + "\n" + stones
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."
     return summary, source.live or not interrupted
@@ -154,6 +160,15 @@ def camera_source(device: CameraDevice, seconds: float | None) -> Source:
             yield from source.moments()
 
     return replace(source, moments=moments)
+
+
+def _write_stones(watch: StoneWatch, kidney: Kidney, known: tuple[KnownStone, ...], table: Path, picture: Path) -> str:
+    """Write the stones' table and picture; what there is to say of them."""
+    seen = watch.stones.stones()
+    stones = compare_stones(seen, known, kidney.scale)
+    write_stones(table, stones, kidney)
+    write_image(picture, draw_stones(kidney, watch, seen))
+    return "\n".join(stone_sentences(stones, kidney))
 
 
 def _summary(

@@ -13,6 +13,7 @@ from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, succ
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.files import fingerprint, write_json
 from ursnav_torch.results import WholeSet
+from ursnav_torch.stones import KnownStone
 from ursnav_torch.tables import number, read_csv, whole_number
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import poses_from_rows
@@ -115,13 +116,15 @@ class Besides:
         truth: the true poses, or None.
         tum: whether ``.tum`` is asked for.
         inputs: files and folders that the track is made from; they tell it from another track of the same name.
-        exploration: when wall counts as seen, and what the scope can do.
+        exploration: when wall counts as seen, what the scope can do, how stones are told.
+        known_stones: those of a scan.
     """
 
     truth: Truth | None = None
     tum: bool = False
     inputs: tuple[Path, ...] = ()
     exploration: ExplorationSettings = field(default_factory=ExplorationSettings)
+    known_stones: tuple[KnownStone, ...] = ()
 
     def paths(self, out: Path) -> tuple[Path, ...]:
         """The files to be made beside the rows in ``out``."""

@@ -4,15 +4,20 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.stones import StoneWatch
 from ursnav_torch.tracking.follow import Moment
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import pose_cells
 
 
 def track_rows(
-    tracker: Tracker, answers: Iterable[tuple[Moment, Tracked]], coverage: Coverage | None = None
+    tracker: Tracker,
+    answers: Iterable[tuple[Moment, Tracked]],
+    coverage: Coverage | None = None,
+    stones: StoneWatch | None = None,
 ) -> Iterator[tuple[dict[str, Any], Tracked]]:
-    """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along.
+    """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along,
+    and ``stones`` are looked for.
 
     A picture is painted when the track is believed and leaves one calyx, for the time since the one before.
     """
@@ -22,6 +27,8 @@ def track_rows(
         last = moment.t_s
         if coverage is not None and tracked.T_kidney_camera is not None and tracked.is_settled:
             coverage.add(tracked.T_kidney_camera, passed)
+        if stones is not None:
+            stones.see(tracked, moment.image, moment.t_s, moment.frame)
         yield track_row(moment, tracked, tracker), tracked
 
 

@@ -6,15 +6,16 @@ from doing all that the motors ask for, so that odometry drifts and lags as a re
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.devices import JointRates, Joints, Limits, clamp_rates
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array, look_along, transform_from
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import Kidney
 from ursnav_torch.scaling import scaled
 from ursnav_torch.simulation.pilot import TwinPilot
 from ursnav_torch.simulation.twin import Scope, Twin
@@ -76,9 +77,17 @@ class Flight:
     odometry: Array
 
 
+class Room(Protocol):
+    """What a scope feels of where it is: a `LumenDistance`, or one with stones in it."""
+
+    def clearance_mm(self, points_mm: ArrayLike) -> Array:
+        """(N,) distance in mm from points (N, 3), kidney frame, to the nearest obstacle; negative inside it."""
+        ...
+
+
 def fly(
     kidney: Kidney,
-    lumen: LumenDistance,
+    lumen: Room,
     calyces: tuple[str, ...],
     settings: FlightSettings,
     rng: np.random.Generator,

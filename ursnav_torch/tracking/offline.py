@@ -103,7 +103,7 @@ def join(
     answers = []
     for f, b in zip(forward, backward, strict=True):
         seen = b if _is_followed(b) or not (_is_followed(f) and b.state == SEARCHING) else f
-        answers.append(replace(seen, seconds=f.seconds + b.seconds))
+        answers.append(replace(seen, seconds=f.seconds + b.seconds, bodies=f.bodies))
     for start, stop in _stretches([_is_followed(a) for a in answers]):
         here = slice(start, stop)
         measured = _chosen(forward[here], backward[here], t_s[here], tracker, readings[here])

@@ -25,6 +25,7 @@ from ursnav_torch.features import (
     Features,
     StillPixels,
 )
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import inverse
 from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
@@ -68,6 +69,7 @@ class Tracked:
         evidence: what the picture said on whether this is the kidney; None likewise.
         certainty: the calyces that it may be, and how far off the pose may be; None without a pose.
         places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses, to be looked at.
+        bodies: stones and instruments before the wall in the picture.
     """
 
     state: str
@@ -81,6 +83,7 @@ class Tracked:
     evidence: KidneyEvidence | None = None
     certainty: TrackCertainty | None = None
     places: Array | None = None
+    bodies: tuple[ForegroundBody, ...] = ()
 
     @property
     def is_settled(self) -> bool:
@@ -245,7 +248,7 @@ class Tracker:
             self._aligned = None
             return self._bridge(t_s, start)
         with torch.inference_mode(), one_thread_an_operation():
-            return self._follow(features, t_s, sensor, start)
+            return replace(self._follow(features, t_s, sensor, start), bodies=features.bodies)
 
     def _carry(self, t_s: float, odometry: OdometryReading | None) -> None:
         """Take in what the robot says by now, if it says anything."""

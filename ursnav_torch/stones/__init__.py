@@ -1,0 +1,22 @@
+"""What the operation is about: stones, with places, sizes and calyces, from a track's pictures."""
+
+from ursnav_torch.stones.known import KnownStone, StoneList, compare_stones
+from ursnav_torch.stones.map import GONE, THERE, FoundStone, StoneMap
+from ursnav_torch.stones.settings import StoneMapSettings
+from ursnav_torch.stones.watch import StoneWatch
+from ursnav_torch.stones.words import calyx_name, residual_fragments, stone_sentences
+
+__all__ = [
+    "GONE",
+    "THERE",
+    "FoundStone",
+    "KnownStone",
+    "StoneList",
+    "StoneMap",
+    "StoneMapSettings",
+    "StoneWatch",
+    "calyx_name",
+    "compare_stones",
+    "residual_fragments",
+    "stone_sentences",
+]

@@ -1,0 +1,101 @@
+"""One candidate for a stone: its sightings, what they add up to, and the evidence that it is one."""
+
+import numpy as np
+
+from ursnav_torch.geometry import Array
+from ursnav_torch.stones.ball import Ball, Clearance, Cones, fit_ball
+from ursnav_torch.stones.settings import StoneMapSettings
+from ursnav_torch.stones.sighting import Sighting
+
+#: Sightings kept of a stone; of more, every other is dropped, so that they go on spanning all visits.
+_MOST_KEPT = 48
+#: No picture is surer than this.
+_SUREST = 0.99
+#: The place is computed again when the sightings have grown by this factor.
+_GROWN = 1.25
+
+
+class Candidate:
+    """What may be a stone.
+
+    Attributes:
+        ball: where it is and how large.
+        log_odds: that it is there, from the pictures since it was first seen, kept within bounds.
+        best_odds: the most that they ever were.
+        pictures: in which it was seen.
+        number: that it is told by, from 1; 0 while it is not told.
+        apart: in how many pictures each of other candidates was seen beside it, by their `key`.
+        best_frame: number of the picture that shows it best.
+    """
+
+    def __init__(self, key: int, settings: StoneMapSettings) -> None:
+        self.key, self._settings = key, settings
+        self.ball = Ball(np.zeros(3), 1.0, np.eye(4))
+        self.log_odds, self.best_odds, self.pictures, self.number = 0.0, -np.inf, 0, 0
+        self.apart: dict[int, int] = {}
+        self.best_frame, self._best = -1, 0.0
+        self._views: list[tuple[Array, Array, Sighting, float, float]] = []
+        self._stride, self._fitted = 1, 0
+
+    def see(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int, weight: float) -> None:
+        """Take in a sighting from a pose (4, 4) with standard deviations in mm and radians."""
+        self.pictures += 1
+        if self.pictures % self._stride == 0 or self.pictures == 1:
+            self._views.append((T[:3, 3].copy(), T[:3, :3] @ seen.ray, seen, *sd))
+        if len(self._views) > _MOST_KEPT:
+            self._views, self._stride = self._views[::2], 2 * self._stride
+        self.weigh(self._settings.hit * weight * _log_odds(seen.probability))
+        shows = seen.extent * seen.probability * (1.0 if seen.is_whole else 0.5)
+        if shows > self._best:
+            self._best, self.best_frame = shows, frame
+
+    def weigh(self, log_odds: float) -> None:
+        """Add to the evidence."""
+        self.log_odds = float(np.clip(self.log_odds + log_odds, 2 * self._settings.gone, self._settings.most))
+        self.best_odds = max(self.best_odds, self.log_odds)
+
+    def settle(self, clearance: Clearance, at_once: bool = False) -> None:
+        """Compute place and size again, where there is enough that is new."""
+        if at_once or self.pictures >= _GROWN * self._fitted or self.pictures < 4:
+            start = self.ball if self._fitted >= 4 else None
+            self.ball, self._fitted = fit_ball(self._cones(), clearance, self._settings, start), self.pictures
+
+    def take_over(self, other: "Candidate") -> None:
+        """Join another candidate that turned out to be the same."""
+        self._views = (self._views + other._views)[-2 * _MOST_KEPT :]
+        if len(self._views) > _MOST_KEPT:
+            self._views, self._stride = self._views[::2], 2 * self._stride
+        self.pictures += other.pictures
+        self.number = min((n for n in (self.number, other.number) if n), default=0)
+        self.weigh(max(other.log_odds, 0.0))
+        self.best_odds = max(self.best_odds, other.best_odds)
+        if other._best > self._best:
+            self._best, self.best_frame = other._best, other.best_frame
+        for key, count in other.apart.items():
+            self.apart[key] = self.apart.get(key, 0) + count
+
+    def size_mm(self) -> tuple[float, float]:
+        """The longest diameter and its standard deviation, mm."""
+        s = self._settings
+        whole = [v for v in self._views if v[2].is_whole] or self._views
+        distance = np.array([np.linalg.norm(self.ball.center_mm - v[0]) for v in whole])
+        extents = 2 * distance * np.sin(np.minimum(np.array([v[2].extent for v in whole]), np.pi) / 2)
+        seen = float(np.quantile(extents, s.size_quantile)) * s.size_factor
+        independent = max(1.0, len(extents) / s.alike)
+        spread = float(np.std(extents)) / np.sqrt(independent) if len(extents) > 1 else 0.3 * seen
+        depth = seen * self.ball.position_sd_mm / max(float(np.median(distance)), 1e-3)
+        return seen, float(np.sqrt(spread**2 + depth**2 + (0.08 * seen) ** 2))
+
+    def _cones(self) -> Cones:
+        views = self._views
+        return Cones(
+            np.array([v[0] for v in views]), np.array([v[1] for v in views]),
+            np.array([v[2].half_angle for v in views]), np.array([v[2].is_whole for v in views]),
+            np.array([v[3] for v in views]), np.array([v[4] for v in views]),
+        )  # fmt: skip
+
+
+def _log_odds(probability: float) -> float:
+    """Of a probability, kept finite."""
+    p = min(probability, _SUREST)
+    return float(np.log(p / (1 - p)))

@@ -1,0 +1,56 @@
+"""How stones are told from their pictures."""
+
+from dataclasses import dataclass
+
+from ursnav_torch.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class StoneMapSettings:
+    """How sightings become stones; mm at the kidney's scale 1. Chosen by ``python -m benchmarks.stones choose=true``.
+
+    Attributes:
+        farthest_mm: a sighting farther than this is none.
+        bearing_deg: standard deviation of a sighting's middle, from the network's cells of 4 px.
+        angle_share: standard deviation of a sighting's apparent radius, as a share of it.
+        contact_mm, contact_share: standard deviation of the gap between stone and wall: fixed, and per mm of radius.
+        alike: so many pictures of a stone say as much as one, as their faults are alike.
+        gate: a sighting is of a stone where it lies within this share of their apparent radii.
+        independent_s: pictures count whole from this long after the one before.
+        hit: share of a sighting's log odds that counts, as pictures of one place err alike.
+        miss: log odds that a picture takes that does not show a stone where one is expected.
+        expected_share: a stone counts as missed where it would cover this share of the picture.
+        least: log odds from which on a stone is told.
+        most: log odds are kept below; so much must be taken before a stone is gone.
+        gone: log odds below which a stone that was told is gone.
+        size_quantile: of the extents seen, the one taken for the longest diameter.
+        size_factor: true by seen extent.
+        smallest_mm: what is smaller is no stone but a speck.
+    """
+
+    farthest_mm: float = 25.0
+    bearing_deg: float = 1.5
+    angle_share: float = 0.15
+    contact_mm: float = 0.3
+    contact_share: float = 0.15
+    alike: float = 4.0
+    gate: float = 0.8
+    independent_s: float = 0.25
+    hit: float = 1.0
+    miss: float = 1.0
+    expected_share: float = 0.03
+    least: float = 4.0
+    most: float = 12.0
+    gone: float = -2.0
+    size_quantile: float = 0.6
+    size_factor: float = 1.0
+    smallest_mm: float = 1.5
+
+    def __post_init__(self) -> None:
+        if min(self.hit, self.miss, self.independent_s, self.alike, self.size_factor) <= 0:
+            raise InputError(f"hit, miss, independent_s, alike and size_factor must be above 0, got {self}.")
+        if not self.gone < self.least <= self.most or not 0 <= self.size_quantile <= 1:
+            raise InputError(
+                f"Stones need gone < least <= most and size_quantile in 0..1, got gone={self.gone}, "
+                f"least={self.least}, most={self.most}, size_quantile={self.size_quantile}."
+            )

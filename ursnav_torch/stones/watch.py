@@ -1,0 +1,45 @@
+"""Stones as a track goes on: only poses that are believed count, and the best picture of each stone is kept."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.features.foreground import ForegroundBody
+from ursnav_torch.stones.map import FoundStone, StoneMap
+from ursnav_torch.tracking.tracker import Tracked
+
+#: Of a pose that does not say how far off it may be: mm at scale 1, and radians.
+_SD_MM, _SD_RAD = 0.5, 0.05
+
+
+class StoneWatch:
+    """Feeds a map of stones with a track's answers.
+
+    Args:
+        stones: the map to be fed.
+
+    Attributes:
+        stones: the map.
+        pictures: by number of a picture that shows some stone best: the picture (H, W) or (H, W, 3), and its bodies.
+    """
+
+    def __init__(self, stones: StoneMap) -> None:
+        self.stones = stones
+        self.pictures: dict[int, tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]]] = {}
+
+    def see(self, tracked: Tracked, image: NDArray[np.uint8], t_s: float, frame: int) -> None:
+        """Take in the answer to a picture; one without a settled pose is passed over, blurred and foggy ones too."""
+        if tracked.T_kidney_camera is None or not tracked.is_settled:
+            return
+        sd = _SD_MM * self.stones.kidney.scale, _SD_RAD
+        if tracked.certainty is not None:
+            sd = tracked.certainty.position_sd_mm, float(np.radians(tracked.certainty.direction_sd_deg))
+        self.stones.add(tracked.T_kidney_camera, tracked.bodies, t_s, frame, sd)
+        wanted = self.stones.best_frames()
+        if frame in wanted and image.size:
+            self.pictures[frame] = (image.copy(), tracked.bodies)
+        for number in self.pictures.keys() - wanted:
+            del self.pictures[number]
+
+    def picture_of(self, stone: FoundStone) -> tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]] | None:
+        """The picture that shows a stone best, and its bodies; None where none was kept."""
+        return self.pictures.get(stone.frame)
