@@ -79,8 +79,8 @@ def _besides(config: Any) -> Any:
     """What is made of the rows besides the rows, and the files that the result is bound to."""
     from hydra.utils import instantiate
 
-    from ursnav_torch.runs.stones import read_known_stones
     from ursnav_torch.runs.track_files import Besides, read_truth
+    from ursnav_torch.stones import read_known_stones
 
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
     read = [config[key] for key in PATHS if config[key] is not None]

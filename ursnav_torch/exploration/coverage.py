@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
-from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.kidney.branches import branch_calyx
+from ursnav_torch.kidney import Kidney, LumenDistance, branch_calyx
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.scaling import scaled
 

@@ -5,7 +5,7 @@
 """
 
 from ursnav_torch.kidney.anatomy import Calyx, Centerline, Kidney
-from ursnav_torch.kidney.lumen import OBSERVED_WITHIN_MM, LumenDistance, observed_calyx
+from ursnav_torch.kidney.lumen import OBSERVED_WITHIN_MM, LumenDistance, branch_calyx, observed_calyx
 from ursnav_torch.kidney.mesh import load_mesh_kidney
 from ursnav_torch.kidney.phantom import make_phantom_kidney
 from ursnav_torch.kidney.set_words import NO_CALYX, set_words
@@ -18,6 +18,7 @@ __all__ = [
     "Centerline",
     "Kidney",
     "LumenDistance",
+    "branch_calyx",
     "load_mesh_kidney",
     "make_phantom_kidney",
     "observed_calyx",

@@ -1,9 +1,10 @@
-"""Distances along the lumen, clearance from the wall, and the calyx that a camera observes."""
+"""Distances along the lumen, clearance from the wall, the calyx that a camera observes or that a place belongs to."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from ursnav_torch.errors import ShapeError
 from ursnav_torch.geometry import angle_between
@@ -16,6 +17,8 @@ IntArray = NDArray[np.int64]
 
 #: Voxel for distances along the lumen, mm at scale 1.
 VOXEL_MM = 0.5
+#: Nodes of the centerline that are asked for each place.
+_NODES = 12
 #: A corner that is no voxel but the tip.
 AT_TIP = -1
 #: A calyx is observed from within this distance along the lumen, mm at scale 1.
@@ -87,3 +90,18 @@ def observed_calyx(T_kidney_camera: ArrayLike, kidney: Kidney, lumen: LumenDista
     near = lumen.to_calyces(position) <= OBSERVED_WITHIN_MM * kidney.scale
     best = np.where(near, angle, np.inf).argmin(axis=1)
     return np.where(near.any(axis=1), best, -1)
+
+
+def branch_calyx(points_mm: Array, kidney: Kidney, lumen: LumenDistance, within_mm: float) -> IntArray:
+    """(P,) index of the calyx that places in the lumen or on its wall (P, 3) belong to, -1 for none: the nearest tip
+    along the lumen, where it is within ``within_mm`` and the nearest part of the centerline leads to that calyx alone.
+    """
+    tree = kidney.centerline
+    away = np.maximum(tree.radius_mm, 1e-6)
+    _, nodes = cKDTree(tree.points_mm).query(points_mm, k=min(_NODES, len(away)))
+    nodes = np.asarray(nodes).reshape(len(points_mm), -1)
+    relative = np.linalg.norm(points_mm[:, None] - tree.points_mm[nodes], axis=-1) / away[nodes]
+    node = nodes[np.arange(len(nodes)), relative.argmin(1)]
+    to_tip = lumen.to_calyces(points_mm)
+    nearest = to_tip.argmin(1)
+    return np.where((to_tip.min(1) <= within_mm) & (tree.calyx[node] == nearest), nearest, -1)

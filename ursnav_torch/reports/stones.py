@@ -20,7 +20,7 @@ _TILE_PX = 240
 
 
 def mark_stones(picture: Picture, overview: Overview, stones: Iterable[FoundStone]) -> Picture:
-    """A picture made of an overview, with a disk a stone, as large as it is, and its number."""
+    """A picture (S, S, 3) made of an overview, with a disk a stone, as large as it is, and its number."""
     picture = picture.copy()
     for stone in stones:
         x, y = np.rint(overview.project(stone.center_mm[None])[0]).astype(int).tolist()

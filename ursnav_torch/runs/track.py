@@ -21,10 +21,9 @@ from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.stones import draw_stones
 from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
-from ursnav_torch.runs.stones import write_stones
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
-from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch, compare_stones, stone_sentences
+from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch, compare_stones, stone_sentences, write_stones
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker

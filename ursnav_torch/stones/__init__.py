@@ -3,6 +3,7 @@
 from ursnav_torch.stones.known import KnownStone, StoneList, compare_stones
 from ursnav_torch.stones.map import GONE, THERE, FoundStone, StoneMap
 from ursnav_torch.stones.settings import StoneMapSettings
+from ursnav_torch.stones.tables import read_known_stones, write_stones
 from ursnav_torch.stones.watch import StoneWatch
 from ursnav_torch.stones.words import calyx_name, residual_fragments, stone_sentences
 
@@ -17,6 +18,8 @@ __all__ = [
     "StoneWatch",
     "calyx_name",
     "compare_stones",
+    "read_known_stones",
     "residual_fragments",
     "stone_sentences",
+    "write_stones",
 ]

@@ -11,11 +11,41 @@ from ursnav_torch.stones.sighting import Sighting
 _MOST_KEPT = 48
 #: No picture is surer than this.
 _SUREST = 0.99
+#: And so many in which the picture's edge cuts it.
+_MOST_PARTS = 8
 #: The place is computed again when the sightings have grown by this factor.
 _GROWN = 1.25
 
 
-class Candidate:
+#: Where the lens stood, the ray in the kidney frame, the sighting, and the pose's standard deviations.
+View = tuple[Array, Array, Sighting, float, float]
+
+
+class _Views:
+    """A stone's sightings, not all of many: ``whole`` ones, and ``parts`` that the picture's edge cuts."""
+
+    def __init__(self) -> None:
+        self.whole: list[View] = []
+        self.parts: list[View] = []
+        self._seen, self._stride = 0, 1
+
+    def add(self, view: View) -> None:
+        """Keep a sighting, or pass it over where there are many."""
+        if not view[2].is_whole:
+            self.parts = [*self.parts, view][-_MOST_PARTS:]
+            return
+        if self._seen % self._stride == 0:
+            self.whole.append(view)
+        self._seen += 1
+        if len(self.whole) > _MOST_KEPT:
+            self.whole, self._stride = self.whole[::2], 2 * self._stride
+
+    def telling(self) -> list[View]:
+        """Those that tell of place and size: the whole ones where there are any."""
+        return self.whole or self.parts
+
+
+class StoneCandidate:
     """What may be a stone.
 
     Attributes:
@@ -34,16 +64,13 @@ class Candidate:
         self.log_odds, self.best_odds, self.pictures, self.number = 0.0, -np.inf, 0, 0
         self.apart: dict[int, int] = {}
         self.best_frame, self._best = -1, 0.0
-        self._views: list[tuple[Array, Array, Sighting, float, float]] = []
-        self._stride, self._fitted = 1, 0
+        self._views = _Views()
+        self._fitted = 0
 
     def see(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int, weight: float) -> None:
         """Take in a sighting from a pose (4, 4) with standard deviations in mm and radians."""
         self.pictures += 1
-        if self.pictures % self._stride == 0 or self.pictures == 1:
-            self._views.append((T[:3, 3].copy(), T[:3, :3] @ seen.ray, seen, *sd))
-        if len(self._views) > _MOST_KEPT:
-            self._views, self._stride = self._views[::2], 2 * self._stride
+        self._views.add((T[:3, 3].copy(), T[:3, :3] @ seen.ray, seen, *sd))
         self.weigh(self._settings.hit * weight * _log_odds(seen.probability))
         shows = seen.extent * seen.probability * (1.0 if seen.is_whole else 0.5)
         if shows > self._best:
@@ -54,17 +81,22 @@ class Candidate:
         self.log_odds = float(np.clip(self.log_odds + log_odds, 2 * self._settings.gone, self._settings.most))
         self.best_odds = max(self.best_odds, self.log_odds)
 
+    @property
+    def is_told(self) -> bool:
+        """Whether it is a stone by now, or was one beyond doubt before it was gone."""
+        s = self._settings
+        return self.number > 0 and (self.log_odds >= s.least - s.miss or self.best_odds >= s.certain)
+
     def settle(self, clearance: Clearance, at_once: bool = False) -> None:
         """Compute place and size again, where there is enough that is new."""
         if at_once or self.pictures >= _GROWN * self._fitted or self.pictures < 4:
             start = self.ball if self._fitted >= 4 else None
             self.ball, self._fitted = fit_ball(self._cones(), clearance, self._settings, start), self.pictures
 
-    def take_over(self, other: "Candidate") -> None:
+    def take_over(self, other: "StoneCandidate") -> None:
         """Join another candidate that turned out to be the same."""
-        self._views = (self._views + other._views)[-2 * _MOST_KEPT :]
-        if len(self._views) > _MOST_KEPT:
-            self._views, self._stride = self._views[::2], 2 * self._stride
+        for view in (*other._views.whole, *other._views.parts):
+            self._views.add(view)
         self.pictures += other.pictures
         self.number = min((n for n in (self.number, other.number) if n), default=0)
         self.weigh(max(other.log_odds, 0.0))
@@ -77,7 +109,7 @@ class Candidate:
     def size_mm(self) -> tuple[float, float]:
         """The longest diameter and its standard deviation, mm."""
         s = self._settings
-        whole = [v for v in self._views if v[2].is_whole] or self._views
+        whole = self._views.telling()
         distance = np.array([np.linalg.norm(self.ball.center_mm - v[0]) for v in whole])
         extents = 2 * distance * np.sin(np.minimum(np.array([v[2].extent for v in whole]), np.pi) / 2)
         seen = float(np.quantile(extents, s.size_quantile)) * s.size_factor
@@ -87,7 +119,7 @@ class Candidate:
         return seen, float(np.sqrt(spread**2 + depth**2 + (0.08 * seen) ** 2))
 
     def _cones(self) -> Cones:
-        views = self._views
+        views = self._views.telling()
         return Cones(
             np.array([v[0] for v in views]), np.array([v[1] for v in views]),
             np.array([v[2].half_angle for v in views]), np.array([v[2].is_whole for v in views]),

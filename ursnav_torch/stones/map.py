@@ -15,11 +15,10 @@ from scipy.optimize import linear_sum_assignment
 from ursnav_torch.camera import Camera
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import Array, angle_between, apply, inverse
-from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.kidney.branches import branch_calyx
+from ursnav_torch.kidney import Kidney, LumenDistance, branch_calyx
 from ursnav_torch.scaling import scaled
 from ursnav_torch.stones.ball import contact_depth_mm
-from ursnav_torch.stones.candidate import Candidate
+from ursnav_torch.stones.candidate import StoneCandidate
 from ursnav_torch.stones.settings import StoneMapSettings
 from ursnav_torch.stones.sighting import ConeOfSight, Sighting
 
@@ -31,6 +30,8 @@ IN_CALYX_MM = 14.0
 _APART = 2
 #: Either the apparent radius of a sighting or its depth by contact must be as expected, within this factor.
 _FACTOR = 1.7
+#: A wall nearer to a line of sight than this may hide what lies behind it, or not, mm at scale 1.
+_GRAZES_MM = 0.3
 _SAMPLES = 24
 
 
@@ -82,7 +83,7 @@ class StoneMap:
         self.kidney, self.lumen = kidney, lumen
         self.settings = scaled(settings or StoneMapSettings(), kidney.scale)
         self._cone = ConeOfSight(working_camera)
-        self._candidates: list[Candidate] = []
+        self._candidates: list[StoneCandidate] = []
         self._keys, self._told, self._last_s = 0, 0, -np.inf
 
     def add(
@@ -130,7 +131,7 @@ class StoneMap:
         for c in sorted((c for c in self._candidates if c.number), key=lambda c: c.number):
             c.settle(self.lumen.clearance_mm, at_once=True)
             size, size_sd = c.size_mm()
-            if size < s.smallest_mm:
+            if size < s.smallest_mm or not c.is_told:
                 continue
             state = GONE if c.log_odds <= s.gone else THERE
             confidence = float(1 / (1 + np.exp(-c.best_odds)))
@@ -154,7 +155,11 @@ class StoneMap:
         for k, candidate in enumerate(self._candidates):
             way = candidate.ball.center_mm - T[:3, 3]
             distance = float(np.linalg.norm(way))
-            if distance > 1.3 * self.settings.farthest_mm or not len(seen) or not self._in_sight(candidate, T):
+            if (
+                distance > 1.3 * self.settings.farthest_mm
+                or not len(seen)
+                or not self._in_sight(candidate, T, -_GRAZES_MM)
+            ):
                 continue
             half = float(np.arcsin(np.clip(candidate.ball.radius_mm / distance, 0, 1)))
             doubt = np.hypot(sd[1], min(np.hypot(sd[0], candidate.ball.position_sd_mm), 2.0) / distance)
@@ -172,21 +177,21 @@ class StoneMap:
             T[:3, 3], T[:3, :3] @ seen.ray, seen.half_angle, self.lumen.clearance_mm, self.settings.farthest_mm
         )
 
-    def _begin(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int) -> Candidate:
+    def _begin(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int) -> StoneCandidate:
         self._keys += 1
-        candidate = Candidate(self._keys, self.settings)
+        candidate = StoneCandidate(self._keys, self.settings)
         candidate.see(T, seen, sd, frame, 1.0)
         self._candidates.append(candidate)
         return candidate
 
-    def _in_sight(self, candidate: Candidate, T: Array) -> bool:
-        """Whether no wall lies between the lens and the candidate's near side."""
+    def _in_sight(self, candidate: StoneCandidate, T: Array, room_mm: float) -> bool:
+        """Whether the way from the lens to the candidate's near side is farther than ``room_mm`` from any wall."""
         way = candidate.ball.center_mm - T[:3, 3]
         near = max(1 - candidate.ball.radius_mm / max(float(np.linalg.norm(way)), 1e-3), 0.1)
         points = T[:3, 3] + np.linspace(0, near, _SAMPLES)[:, None] * way
-        return bool((self.lumen.clearance_mm(points)[1:] > 0).all())
+        return bool((self.lumen.clearance_mm(points)[1:] > room_mm * self.kidney.scale).all())
 
-    def _is_expected(self, candidate: Candidate, T: Array) -> bool:
+    def _is_expected(self, candidate: StoneCandidate, T: Array) -> bool:
         """Whether a picture from ``T`` should show a candidate: all of it in the picture, large, nothing before it."""
         at = apply(inverse(T), candidate.ball.center_mm)
         distance = float(np.linalg.norm(at))
@@ -199,9 +204,9 @@ class StoneMap:
         side /= np.linalg.norm(side)
         up = np.cross(at / distance, side)
         rim = at + candidate.ball.radius_mm * np.array([side, -side, up, -up])
-        return bool(self._cone.camera.project(rim)[1].all()) and self._in_sight(candidate, T)
+        return bool(self._cone.camera.project(rim)[1].all()) and self._in_sight(candidate, T, _GRAZES_MM)
 
-    def _merge(self, met: Sequence[Candidate]) -> None:
+    def _merge(self, met: Sequence[StoneCandidate]) -> None:
         """Join candidates that turned out to be at one place."""
         for a in met:
             for b in [c for c in self._candidates if c is not a]:

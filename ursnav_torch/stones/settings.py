@@ -21,6 +21,7 @@ class StoneMapSettings:
         miss: log odds that a picture takes that does not show a stone where one is expected.
         expected_share: a stone counts as missed where it would cover this share of the picture.
         least: log odds from which on a stone is told.
+        certain: log odds that a stone had once, which is told although it is gone.
         most: log odds are kept below; so much must be taken before a stone is gone.
         gone: log odds below which a stone that was told is gone.
         size_quantile: of the extents seen, the one taken for the longest diameter.
@@ -39,7 +40,8 @@ class StoneMapSettings:
     hit: float = 1.0
     miss: float = 1.0
     expected_share: float = 0.03
-    least: float = 4.0
+    least: float = 5.0
+    certain: float = 9.0
     most: float = 12.0
     gone: float = -2.0
     size_quantile: float = 0.6

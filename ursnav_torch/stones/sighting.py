@@ -10,8 +10,9 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import Array
 
-#: A region this near to the lens's edge may go on beyond it, px of the working size.
-_RIM_PX = 2
+#: A region nearer to the lens's edge than this share of the picture may go on beyond it: near the edge the finder sees
+#: less of a stone than there is.
+_RIM = 0.07
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +49,7 @@ class ConeOfSight:
         self._rays, inside = working_camera.pixel_rays()
         across = np.cross(np.gradient(self._rays, axis=1), np.gradient(self._rays, axis=0))
         self._steradian = np.linalg.norm(across, axis=2) * inside
-        self._rim = inside & ~ndimage.binary_erosion(inside, iterations=_RIM_PX)
+        self._rim = inside & (ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] < _RIM * min(inside.shape))
         self.solid_angle = float(self._steradian.sum())
 
     def sightings(self, bodies: Iterable[ForegroundBody]) -> tuple[Sighting, ...]:

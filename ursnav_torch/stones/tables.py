@@ -9,7 +9,8 @@ from ursnav_torch.columns import KNOWN_STONE_COLUMNS, STONE_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.files import write_csv
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.stones import KnownStone, StoneList, calyx_name
+from ursnav_torch.stones.known import KnownStone, StoneList
+from ursnav_torch.stones.words import calyx_name
 from ursnav_torch.tables import number, read_csv
 
 #: ``state`` of a stone of the scan that no picture showed.
