@@ -1,9 +1,11 @@
 """The runners navigate and explore."""
 
+import json
+
 import numpy as np
 import pytest
 
-from ursnav_torch.devices import Frame, Stamp
+from ursnav_torch.devices import CommandSample, Frame, Stamp
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.session import Recorder, Replay
 
@@ -46,6 +48,26 @@ def test_a_simulated_session_ends_after_its_time_and_finds_no_distances_again(ru
                "hardware.twin.sensor=null", "seconds=3")  # fmt: skip
     assert done.code == 0, done.err
     assert "located" in done.out
+
+
+@pytest.mark.slow
+def test_a_scope_that_explores_by_itself_is_recorded_with_an_account_of_every_calyx(run, vid, tmp_path):
+    out = tmp_path / "explored"
+    done = run("navigate", f"vid={vid.folder}", "hardware=simulated", "hardware/tracker=none", "viewer=none",
+               "hardware.twin.sensor=null", "autonomy=explore", "seconds=8", f"out={out}")  # fmt: skip
+    assert done.code == 0, done.err
+    assert "Not explored to the end" in done.out and "6 calyces inspected" in done.out
+    told = json.loads((out / "explored.json").read_text(encoding="utf-8"))
+    assert [c["calyx"] for c in told["calyces"]] == [c.name for c in vid.kidney.calyces] and not told["finished"]
+    sent = [e for e in Replay(out, speed=0) if isinstance(e, CommandSample)]
+    assert sent and any(not e.sent.is_zero for e in sent), "it moved, and by the robot's own gate"
+    assert not any(e.reason == "dead-man button not held" for e in sent)
+
+
+def test_autonomy_needs_a_robot(run, vid):
+    done = run("navigate", f"vid={vid.folder}", "hardware=simulated", "hardware/tracker=none", "hardware/robot=none",
+               "hardware/light=none", "viewer=none", "autonomy=explore", "seconds=3")  # fmt: skip
+    assert done.code == 1 and "choose hardware/robot=..., or autonomy=none" in done.err
 
 
 @pytest.mark.parametrize("runner", ["navigate", "explore"])

@@ -3,7 +3,7 @@
 import time
 
 from ursnav_torch.devices import Gamepad, OperatorInput, SafetyGate
-from ursnav_torch.session import Console
+from ursnav_torch.session import HOLD, Console
 from ursnav_torch.simulation import TwinPilot
 
 
@@ -76,6 +76,18 @@ def test_the_light_is_dimmed_from_a_page_where_it_may_drive():
 def test_nonsense_from_a_page_moves_nothing():
     with Console(None, may_drive=True) as console:
         console.drive("../../etc/passwd")
+        assert not console.read().dead_man
+
+
+def test_the_button_held_on_a_page_moves_no_stick_and_only_where_the_page_may_drive():
+    with Console(None, may_drive=True) as console:
+        console.drive(HOLD)
+        read = console.read()
+        assert read.dead_man and not (read.bend_x or read.bend_y or read.insertion)
+        console.release()
+        assert not console.read().dead_man
+    with Console(None, may_drive=False) as console:
+        console.drive(HOLD)
         assert not console.read().dead_man
 
 

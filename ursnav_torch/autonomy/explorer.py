@@ -34,6 +34,8 @@ _OUT_MM, _NEWS = 0.2, 0.25
 _FOLLOWS = 0.3
 #: Getting on by less than this is none, mm at scale 1.
 _PROGRESS_MM = 0.25
+#: A way in that got farther than those before by this much has not failed, mm at scale 1.
+_DEEPER_MM = 1.0
 
 
 class Explorer:
@@ -79,7 +81,7 @@ class Explorer:
         self._weighed: Iterator[ViewPlan] | None = None
         self._best: ViewPlan | None = None
         self._view: tuple[ViewPlan, float] | None = None
-        self._held_from_s = 0.0
+        self._held_from_s, self._blocked, self._deepest_mm = 0.0, "", 0.0
 
     @property
     def finished(self) -> bool:
@@ -194,6 +196,7 @@ class Explorer:
             return
         self.target, self._hits, self._room_mm = order[0], 0, self.settings.room_mm
         self._inspected_from_s, self._view, self._weighed = None, None, None
+        self._blocked, self._deepest_mm = "", 0.0
 
     def _feasible(self, calyx: int) -> bool:
         return route_to(self.kidney, self.kidney.pelvis_mm, calyx, self._limits).feasible
@@ -218,7 +221,9 @@ class Explorer:
         self._place, self._place_s = T[:3, 3], seen.seen_s
         self._best_mm, self._best_s = self._ways[self.target].place_mm(T[:3, 3]), seen.t_s
         self._mark = T[:3, 3]
-        self._pushed_from = seen.insertion_mm
+        self._pushed_from = (
+            seen.insertion_mm + self.settings.slack_mm
+        )  # it came by pulling: the slider turns round first
         self._to(State.APPROACHING, seen, f"into calyx {self.visits[self.target].calyx}")
 
     def _approach(self, seen: Perception, T: Array) -> Wish:
@@ -228,8 +233,7 @@ class Explorer:
         at = way.place_mm(place)
         visit.nearest_mm = min(visit.nearest_mm, way.length_mm - at)
         if way.length_mm - at <= s.standoff_mm or self._share() >= s.done_share:
-            self._inspected_from_s = seen.t_s if self._inspected_from_s is None else self._inspected_from_s
-            self._to(State.INSPECTING, seen, f"looks at the wall of calyx {visit.calyx}")
+            self._look_around(seen)
             return Wish()
         if at > self._best_mm + _PROGRESS_MM * self._unit:
             self._best_mm, self._best_s = at, seen.t_s
@@ -256,9 +260,17 @@ class Explorer:
         self._pushed_from, self._mark = seen.insertion_mm, place_mm
         return followed < _FOLLOWS * pushed
 
+    def _look_around(self, seen: Perception) -> None:
+        """Begin to inspect from here, or go on with it."""
+        self._inspected_from_s = seen.t_s if self._inspected_from_s is None else self._inspected_from_s
+        self._view, self._weighed = None, None
+        self._to(State.INSPECTING, seen, f"looks at the wall of calyx {self.visits[self.target].calyx}")
+
     def _back_off(self, seen: Perception, reason: str) -> None:
         self._pushed_from = seen.insertion_mm
-        self._hits += 1
+        deeper = self._best_mm > self._deepest_mm + _DEEPER_MM * self._unit
+        self._deepest_mm = max(self._deepest_mm, self._best_mm)
+        self._hits = 1 if deeper else self._hits + 1
         self._to(State.BACKING_OFF, seen, reason)
 
     def _go_back(self, seen: Perception, T: Array) -> Wish:
@@ -268,7 +280,8 @@ class Explorer:
             return self._steering.retreat(seen, T, self._ways[self.target])
         visit.attempts += 1
         if self._hits >= s.attempts:
-            self._close(seen, self.machine.reason)
+            self._blocked = self.machine.reason
+            self._look_around(seen)
         else:
             self._begin(seen, T)
         return Wish()
@@ -334,9 +347,9 @@ class Explorer:
         if share >= self.settings.done_share:
             visit.verdict, visit.reason = INSPECTED, ""
         elif share >= self.coverage.settings.glimpsed:
-            visit.verdict, visit.reason = PARTLY, reason
+            visit.verdict, visit.reason = PARTLY, self._blocked or reason
         else:
-            visit.verdict, visit.reason = OUT_OF_REACH, reason
+            visit.verdict, visit.reason = OUT_OF_REACH, self._blocked or reason
         self.target = -1
         self._choose(seen)
         if not self.finished:

@@ -24,6 +24,7 @@ class AutonomySettings:
         look_s: how long it stands and looks before it withdraws.
         withdraw_mm: how far it withdraws before it looks again.
         withdrawals: after so many in a row without a place it gives up.
+        slack_mm: the slider's play: so far it turns round before the shaft follows.
         resistance_mm: pushed this far without getting on, it meets resistance.
         back_off_mm: how far it backs off then.
         attempts: ways into a calyx that are tried before it counts as out of reach.
@@ -38,8 +39,8 @@ class AutonomySettings:
     advance_mm_s: float = 4.0
     retreat_mm_s: float = 6.0
     withdraw_mm_s: float = 2.0
-    turn_per_s: float = 3.0
-    ahead_mm: float = 3.5
+    turn_per_s: float = 1.5
+    ahead_mm: float = 5.0
     clearance_mm: float = 0.8
     standoff_mm: float = 3.0
     room_mm: float = 2.0
@@ -49,7 +50,8 @@ class AutonomySettings:
     look_s: float = 2.0
     withdraw_mm: float = 4.0
     withdrawals: int = 8
-    resistance_mm: float = 1.5
+    slack_mm: float = 1.2
+    resistance_mm: float = 1.0
     back_off_mm: float = 1.5
     attempts: int = 3
     patience_s: float = 12.0

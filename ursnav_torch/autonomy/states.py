@@ -35,7 +35,9 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     State.INSPECTING: frozenset(
         _ALWAYS | {State.LOOKING, State.RETREATING, State.APPROACHING, State.BACKING_OFF, State.FINISHED}
     ),
-    State.BACKING_OFF: frozenset(_ALWAYS | {State.LOOKING, State.RETREATING, State.APPROACHING, State.FINISHED}),
+    State.BACKING_OFF: frozenset(
+        _ALWAYS | {State.LOOKING, State.RETREATING, State.APPROACHING, State.INSPECTING, State.FINISHED}
+    ),
     State.WITHDRAWING: frozenset(_ALWAYS | {State.LOOKING, State.FINISHED}),
     State.FINISHED: frozenset(),
 }

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 _ASKEW = 0.75
 #: In a neck narrower than the clearance asked for, this part of its radius is kept.
 _NECK_SHARE = 0.6
+#: A wall whose normal is within 45 degrees of the axis faces the scope; along another it goes on at this part of speed.
+_FACING, _CREEP = 0.7, 0.25
 #: How far along the optical axis clearance is looked up, mm at scale 1.
 _LOOK_MM = 1.0
 
@@ -111,12 +113,18 @@ class Steering:
         return float(np.clip(1.0 - doubt, 0.15, 1.0))
 
     def freedom(self, T: Array, kept_mm: float) -> float:
-        """Speed by clearance at a pose (4, 4): 1 where the wall ahead is twice as far off as it is kept, 0 where that near."""
-        ahead = T[:3, 3] + T[:3, 2] * _LOOK_MM * self.lumen.scale
+        """Speed by clearance at a pose (4, 4): 1 where the wall ahead is twice as far off as it is kept, else less.
+
+        Nothing of it is left where that wall is near and faces the scope; along a wall at a slant it creeps on.
+        """
+        step = _LOOK_MM * self.lumen.scale
+        ahead = T[:3, 3] + T[:3, 2] * step
         here, there = self.lumen.clearance_mm(np.stack([T[:3, 3], ahead]))
         if there >= here:  # whoever gets away from the wall may
             return 1.0
-        return float(np.clip((there - kept_mm) / max(kept_mm, 1e-9), 0.0, 1.0))
+        facing = (here - there) / step  # the cosine of the angle between the axis and the wall's normal
+        least = _CREEP if facing < _FACING else 0.0
+        return float(np.clip((there - kept_mm) / max(kept_mm, 1e-9), least, 1.0))
 
     @staticmethod
     def _cosine(T: Array, goal_mm: Array) -> float:

@@ -70,6 +70,9 @@ class Rehearsed:
 
     Attributes:
         t_s, T_kidney_camera, states: at every picture: when, the true pose (4, 4), and the explorer's state.
+        places_mm: (3,) of the tip then, but for breathing.
+        joints: (3,) true bends and insertion at every picture.
+        off_mm: of every sighting with a pose, how far it was off.
         pressed_mm: the largest compression of the shaft since the picture before.
         limited: commands that limits cut.
         disarmed: how often the watchdog or a stop disarmed the robot.
@@ -79,6 +82,9 @@ class Rehearsed:
     t_s: list[float] = field(default_factory=list)
     T_kidney_camera: list[Array] = field(default_factory=list)
     states: list[str] = field(default_factory=list)
+    places_mm: list[Array] = field(default_factory=list)
+    joints: list[Array] = field(default_factory=list)
+    off_mm: list[float] = field(default_factory=list)
     pressed_mm: list[float] = field(default_factory=list)
     limited: int = 0
     disarmed: int = 0
@@ -86,8 +92,8 @@ class Rehearsed:
 
     @property
     def path_mm(self) -> float:
-        """Length of the tip's true path, steps between pictures added up."""
-        places = np.array([T[:3, 3] for T in self.T_kidney_camera]).reshape(-1, 3)
+        """Length of the way that the scope took its tip, steps between pictures added up; breathing is none of it."""
+        places = np.array(self.places_mm).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
@@ -154,9 +160,15 @@ class Rehearsal:
     def _take(self, found: Rehearsed, T: Array, pressed: float, truth: Coverage | None) -> None:
         """A picture is taken; its answer is on its way."""
         self._due_s += self._period_s
-        self._coming.append((self.now_s + self._latency_s, self.now_s, self._locate(self.twin, self.now_s)))
+        sighting = self._locate(self.twin, self.now_s)
+        self._coming.append((self.now_s + self._latency_s, self.now_s, sighting))
+        if sighting.T_kidney_camera is not None:
+            found.off_mm.append(float(np.linalg.norm(sighting.T_kidney_camera[:3, 3] - T[:3, 3])))
+        at = self.robot.drive.joints(self.robot.axes_mm())
+        found.joints.append(np.array([at.bend_x_rad, at.bend_y_rad, at.insertion_mm]))
         found.t_s.append(self.now_s)
         found.T_kidney_camera.append(T.copy())
+        found.places_mm.append(self.twin.undisturbed[:3, 3].copy())
         found.states.append(self.explorer.machine.state.value)
         found.pressed_mm.append(pressed)
         if truth is not None:

@@ -17,7 +17,7 @@ from ursnav_torch.page.pictures import PagePictures, jpeg
 from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
 from ursnav_torch.page.server import PageServer
 from ursnav_torch.reports.stretches import session_stretches
-from ursnav_torch.session import MOVES, Player, SessionControls
+from ursnav_torch.session import HOLD, MOVES, Player, SessionControls
 
 logger = logging.getLogger(__name__)
 
@@ -88,6 +88,7 @@ class LivePage:
         return {
             "robot": has_robot,
             "drive": has_robot and console is not None and console.may_drive,
+            "by_itself": self.controls.by_itself,
             "pilot": console is not None and console.has_pilot,
             "duration_s": player.duration_s if player is not None else None,
             "calyces": [c.name for c in self._vid.kidney.calyces],
@@ -111,7 +112,7 @@ class LivePage:
                 "acknowledge": Command(console.acknowledge),
                 "arm": Command(console.arm),
                 "pilot": Command(console.give_to_pilot, bool),
-                "drive": Command(console.drive, str, choices=tuple(MOVES)),
+                "drive": Command(console.drive, str, choices=(*MOVES, HOLD)),
                 "release": Command(console.release),
                 "brighten": Command(console.brighten, int, -1, 1),
             }
@@ -214,6 +215,7 @@ def state_values(state: NavigationState, rate: float) -> dict[str, Any]:
         "chosen": g.chosen,
         "next": g.route.calyx if g.route is not None else "",
         "robot": state.robot,
+        "autonomy": state.autonomy,
         "notice": state.notice,
         "pose": None if T is None else T.round(4).ravel().tolist(),
         "latency": latency,

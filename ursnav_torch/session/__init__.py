@@ -2,7 +2,7 @@
 `Replay` reads them again, `open_session` connects either, and `run_session` is the loop that works through it.
 """
 
-from ursnav_torch.session.console import MOVES, Console
+from ursnav_torch.session.console import HOLD, MOVES, Console
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Result, Snapshot
 from ursnav_torch.session.live import Live
@@ -16,6 +16,7 @@ from ursnav_torch.session.source import EventSource, Pace
 from ursnav_torch.session.status_line import StatusLine
 
 __all__ = [
+    "HOLD",
     "MOVES",
     "Console",
     "Control",

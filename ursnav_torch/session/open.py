@@ -39,11 +39,13 @@ class SessionControls:
         stop: ends the session.
         console: the hands of a robot's operator; None in a replay.
         player: what a replay is steered by; None live.
+        by_itself: whether the scope moves by itself while the dead-man button is held.
     """
 
     stop: Callable[[], None]
     console: Console | None = None
     player: Player | None = None
+    by_itself: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +114,7 @@ def _open_rig(
     rig = stack.enter_context(replace(rig, gamepad=hands))
     live = Live(rig, duration_s)
     keepers = (partial(publish, rig.output),) if rig.output else ()
-    return Session(live, SessionControls(live.stop, console=console), keepers)
+    return Session(live, SessionControls(live.stop, console, by_itself=between is not None), keepers)
 
 
 @contextlib.contextmanager

@@ -84,6 +84,7 @@ class Twin:
         T_kidney_start: pose (4, 4) of the tip with straight and withdrawn joints.
         scope: the scope.
         em: the EM tracker's world.
+        breathing: by how much (3,) mm, kidney frame, the scope is off its place in the kidney now; None for not at all.
 
     Raises:
         InputError: the start lies nearer to a wall than the tip may come.
@@ -96,9 +97,10 @@ class Twin:
         T_kidney_start: ArrayLike,
         scope: Scope | None = None,
         em: EmField | None = None,
+        breathing: Callable[[], Array] | None = None,
     ) -> None:
         self.scope, self.em = scope or Scope(), em or EmField()
-        self._clearance, self._render = clearance_mm, render
+        self._clearance, self._render, self._breathing = clearance_mm, render, breathing
         self._segment = self.scope.drive.segment
         start = check_rigid(T_kidney_start, "T_kidney_start")
         room = float(clearance_mm(start[None, :3, 3])[0])
@@ -121,6 +123,16 @@ class Twin:
         with self._lock:
             self._axes, self._light = axes_mm, light or self._light
 
+    def axes_mm(self) -> Array:
+        """Where the controller's axes are now, (3,) mm: what the robot could report."""
+        with self._lock:
+            return np.asarray(self._axes(), float)
+
+    @property
+    def undisturbed(self) -> Array:
+        """Where (4, 4) the scope took the tip at the last look, but for breathing."""
+        return self._T_kidney_tip
+
     @property
     def bend(self) -> Array:
         """The true bend (2,) in radians, which slack and walls keep from what the motors ask for."""
@@ -140,7 +152,16 @@ class Twin:
         """The true ``T_kidney_camera`` (4, 4) now."""
         with self._lock:
             self._follow(np.asarray(self._axes(), float))
-            return self._T_kidney_tip
+            return self._T_kidney_tip if self._breathing is None else self._moved(self._breathing())
+
+    def _moved(self, offset_mm: Array) -> Array:
+        """The tip's pose, moved by (3,) mm or as far as walls allow: where it is tight, they carry it along."""
+        T = self._T_kidney_tip.copy()
+        places = T[:3, 3] + SHARES[:, None] * offset_mm
+        room = self._clearance(places)
+        free = room >= min(self.scope.keep_off_mm, float(room[0]))
+        T[:3, 3] = places[-1 if free.all() else max(int(free.argmin()) - 1, 0)]
+        return T
 
     def image(self) -> NDArray[np.uint8]:
         """The picture from where the camera is now, dimmed by the LED's level."""

@@ -44,7 +44,7 @@ function build(m) {
     hold(button, () => send("drive", move)); $("moves").append(button);
   }
   $("stop").hidden = $("robot-part").hidden = !m.robot;
-  $("drive-part").hidden = !m.drive; $("pilot").hidden = !m.pilot;
+  $("drive-part").hidden = !m.drive; $("pilot").hidden = !m.pilot; $("hold").hidden = !m.by_itself;
   for (const [key, what] of words.keys) { const term = document.createElement("dt"), said = document.createElement("dd"); term.textContent = key; said.textContent = what; $("keys").append(term, said); }
   $("replay").hidden = m.duration_s === null; $("at").max = m.duration_s ?? 0;
 }
@@ -55,7 +55,7 @@ function show(m) {
   put($("words"), m.pose ? `${m.words} (${Math.round(100 * m.confidence)} %)` : m.words);
   $("bar").style.transform = `scaleX(${m.confidence})`;
   $("bar").parentElement.className = `bar ${m.confidence >= 0.9 ? "inspected" : m.confidence >= 0.6 ? "glimpsed" : "unseen"}`;
-  put($("robot"), `${words.robot}: ${m.robot || words.unheard}`); put($("notice-robot"), m.notice);
+  put($("robot"), `${words.robot}: ${m.robot || words.unheard}${m.autonomy ? ` · ${m.autonomy}` : ""}`); put($("notice-robot"), m.notice);
   $("pilot").setAttribute("aria-pressed", String(!m.by_hand));
   put($("latency"), m.latency); $("latency").dataset.state = m.version;
   const rows = new Map(m.coverage.map((row) => [row[0], row]));
@@ -74,6 +74,7 @@ const press = { stop: "stop", acknowledge: "acknowledge", arm: "arm", propose: "
 for (const [id, name] of Object.entries(press)) $(id).onclick = () => send(name);
 $("brighter").onclick = () => send("brighten", 1);
 $("darker").onclick = () => send("brighten", -1);
+hold($("hold"), () => send("drive", "hold"));
 $("pilot").onclick = () => send("pilot", !!state?.by_hand);
 // What lies over the picture and in the kidney can be switched.
 const hide = { cloud: () => view?.toggleCloud(), drawn: () => { const c = $("virtual"); c.hidden = !c.hidden; return !c.hidden; } };
@@ -84,7 +85,7 @@ $("before").onclick = () => doubt(-1); $("next").onclick = () => doubt(1);
 $("at").oninput = () => { seeking = true; };
 $("at").onchange = () => { seeking = false; send("seek", Number($("at").value)); };
 
-const table = { " ": () => { if (about?.robot) send("stop"); else send("play"); }, a: () => send("acknowledge"), r: () => send("arm"), f: () => send("pilot", !!state?.by_hand), e: () => toggle("edges"), s: () => toggle("stones"), n: () => toggle("names"), c: () => toggle("cloud"), v: () => toggle("drawn"), "[": () => doubt(-1), "]": () => doubt(1), 0: () => send("propose"), p: () => send("play"), ".": () => send("step"), ...turningKeys(() => view) };
+const table = { " ": () => { if (about?.robot) send("stop"); else send("play"); }, a: () => send("acknowledge"), r: () => send("arm"), f: () => send("pilot", !!state?.by_hand), h: () => about?.by_itself && send("drive", "hold"), e: () => toggle("edges"), s: () => toggle("stones"), n: () => toggle("names"), c: () => toggle("cloud"), v: () => toggle("drawn"), "[": () => doubt(-1), "]": () => doubt(1), 0: () => send("propose"), p: () => send("play"), ".": () => send("step"), ...turningKeys(() => view) };
 for (let i = 1; i <= 9; i++) table[i] = () => cells[i - 1] && send("choose", cells[i - 1].name);
 for (const [move, [, key]] of Object.entries(words.moves)) table[key] = () => about?.drive && send("drive", move);
 keys(table);

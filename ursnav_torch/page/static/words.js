@@ -4,7 +4,7 @@ export const words = {
   labels: {
     starting: "Starting.", stop: "STOP", confidence: "Confidence", unknown: "no place known", show: "Show", edges: "Edges", stones: "Stones",
     names: "Names", drawn: "Drawn", cloud: "Cloud", propose: "Propose next", end: "End session", robot: "Robot",
-    acknowledge: "Acknowledge", arm: "Arm", pilot: "Pilot flies", brighter: "Brighter", darker: "Darker",
+    acknowledge: "Acknowledge", arm: "Arm", pilot: "Pilot flies", hold: "Hold: goes by itself", brighter: "Brighter", darker: "Darker",
     disclaimer: "Research software, not a medical device.", play: "Play", pause: "Pause", before: "Doubt before", next: "Next doubt",
     fly: "Fly", calyx: "calyx", go: "Go there", newName: "new name", rename: "Rename", collect: "Collect", take: "Take this view",
     count: "views a calyx", plan: "Plan views again", picking: "Pick landmarks: click the kidney", unpick: "Take back the last landmark",

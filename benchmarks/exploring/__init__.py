@@ -1,0 +1,244 @@
+"""Exploring by itself over a population of phantoms, in simulated time.
+
+    python -m benchmarks.exploring work=DIR                      # the judging half, places from the tracker
+    python -m benchmarks.exploring work=DIR pose=true            # true places with noise instead of the tracker
+    python -m benchmarks.exploring work=DIR half=choosing        # the half that settings may be chosen with
+    python -m benchmarks.exploring work=DIR half=choosing set=room_mm=3,turn_per_s=2    # other settings
+
+In every phantom one calyx is blocked by a stone that the map does not know. The scope has plays and breathes. What the
+explorer says is compared with the wall that the true poses saw. Seeds make the halves; results are kept in ``work``
+for each phantom and setting, and the next call goes on from there.
+"""
+
+import hashlib
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population, vid_for
+from benchmarks.shared.results import Report, overrides
+from benchmarks.shared.statistics import wilson
+from benchmarks.shared.track_records import sources
+from ursnav_torch.autonomy import AutonomySettings, Explorer
+from ursnav_torch.autonomy.tour import Tour
+from ursnav_torch.errors import InputError
+from ursnav_torch.exploration import ScopeLimits
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.route import route_to
+from ursnav_torch.files import write_json
+from ursnav_torch.geometry import look_along, transform_from
+from ursnav_torch.navigation.rehearsal import Rehearsal, Rehearsed, Sighting
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
+from ursnav_torch.simulation import Scope, Twin
+from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.tracker import TRACKING, Tracker
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+
+#: A change of their code makes results anew.
+ROOMS = ("autonomy", "exploration", "navigation", "simulation", "tracking")
+TRUE, TRACKED = "true", "tracked"
+SETTINGS = {
+    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0, "breathing_mm": 1.0, "work": "",
+    "set": "", "only": "", "out": "",
+}  # fmt: skip
+#: Noise of places that stand for a tracker's: mm and degrees, each axis.
+NOISE_MM, NOISE_DEG = 0.3, 1.5
+#: A shaft compressed by more pushes against a wall by force, mm; breaths a second of a ventilated patient.
+FORCED_MM, BREATH_HZ = 0.5, 0.25
+#: The stone lies so far before the tip of its calyx, or as far as the calyx's own branch goes, mm.
+STONE_MM = 9.0
+#: A tip so near to the stone's surface pushes against it, mm: what is kept off, and the breath.
+AT_STONE_MM = 1.8
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Explore, print the table and keep the figures."""
+    settings = overrides(SETTINGS, arguments)
+    if settings["half"] not in (CHOOSING, JUDGING) or settings["pose"] not in (TRUE, TRACKED):
+        raise InputError(f"half= is {CHOOSING} or {JUDGING}, pose= {TRUE} or {TRACKED}; got {settings}.")
+    if settings["set"] and settings["half"] != CHOOSING:
+        raise InputError(f"set= tries a setting, which the {JUDGING} half must not see; give half={CHOOSING}.")
+    told = {k: v for k, v in settings.items() if k not in ("work", "out", "only")}
+    report = Report("exploring" if settings["pose"] == TRACKED else "exploring-true-places", told)
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(settings["work"] or scratch)
+        cases = {c.kidney: c for c in population(settings["phantoms"]) if c.half == settings["half"]}
+        chosen = [case for name, case in cases.items() if settings["only"] in name]
+        found = [explored(case, settings, work) for case in chosen]
+    add_figures(report, found)
+    report.finish(settings["out"])
+    return 0
+
+
+def explored(case: Case, settings: dict[str, Any], work: Path) -> dict[str, Any]:
+    """What exploring one phantom brought; from the work folder where the same was done already."""
+    careful = tried(settings["set"])
+    key = sources(ROOMS) + repr([case, careful, *(settings[k] for k in ("views", "pose", "seconds", "breathing_mm"))])
+    path = work / "explored" / f"{case.kidney}_{hashlib.sha256(key.encode()).hexdigest()[:8]}.json"
+    if not path.exists():
+        vid = vid_for(case, settings["views"], work, None)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, explore_phantom(case, vid, careful, settings))
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    print(f"{case.kidney}: {found['seconds']:.0f} s, {found['path_mm']:.0f} mm, {found['end']}", file=sys.stderr)
+    for c in found["calyces"]:
+        print(f"  {c['calyx']}{' (stone)' if c['blocked'] else ''}: {c['verdict']}, own {c['share']:.2f}, "
+              f"true {c['true_share']:.2f} {c.get('reason', '')}", file=sys.stderr)  # fmt: skip
+    return found
+
+
+def tried(text: str) -> AutonomySettings:
+    """Settings with some changed: ``room_mm=3,turn_per_s=2``."""
+    changes = dict(part.split("=", 1) for part in text.split(",") if part)
+    default = AutonomySettings()
+    return replace(default, **{k: type(getattr(default, k))(v) for k, v in changes.items()})
+
+
+def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: dict[str, Any]) -> dict[str, Any]:
+    """Explore one phantom; the facts, as they are kept."""
+    rng, kidney, lumen = np.random.default_rng([case.seed, 21]), vid.kidney, vid.lumen
+    stone, blocked = stone_in(vid, rng)
+    own, truth = (Coverage(kidney, vid.camera, lumen, vid.T_kidney_camera[::2]) for _ in range(2))
+    explorer = Explorer(own, lumen, careful)
+    scope = Scope(backlash=(*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0)), compression_mm=2.0)
+    faults = severity(PRESETS[case.kind], 0.2, rng)
+    renderer, drawn = RaycastRenderer(kidney.mesh, vid.camera), np.random.default_rng([case.seed, 22])
+    breath = rng.standard_normal(3)
+    breath *= settings["breathing_mm"] / np.linalg.norm(breath)
+    clock = [0.0]
+    start = kidney.centerline.points_mm[0]
+    twin = Twin(
+        lambda p: np.minimum(lumen.clearance_mm(p), np.linalg.norm(p - stone[:3], axis=1) - stone[3]),
+        lambda T: simulate(renderer, T, faults, drawn),
+        look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi))),
+        scope,
+        breathing=lambda: breath * np.sin(2 * np.pi * BREATH_HZ * clock[0]),
+    )
+    locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid, clock)
+    rehearsal = Rehearsal(twin, explorer, locate)
+    clock_of(rehearsal, clock)
+    begun = time.monotonic()
+    found = rehearsal.run(settings["seconds"], truth)
+    tour = Tour(kidney, careful.standoff_mm)
+    within = [c for c in range(len(kidney.calyces)) if c != blocked]
+    true_share = {c.calyx: c.share for c in truth.calyces()}
+    limits = rehearsal.robot.limits
+    joints = np.array(found.joints).reshape(-1, 3)
+    passed = int((np.hypot(joints[:, 0], joints[:, 1]) > limits.max_bend_rad + 1e-6).sum())
+    passed += int(((joints[:, 2] < -1e-6) | (joints[:, 2] > limits.max_insertion_mm + 1e-6)).sum())
+    return {
+        "seconds": found.t_s[-1], "took_s": time.monotonic() - begun, "end": explorer.machine.reason,
+        "finished": explorer.finished, "path_mm": found.path_mm,
+        "tour_mm": tour.length_mm(start, tour.order(start, within)),
+        "forced": contacts(found, stone), "pressed_mm": max(found.pressed_mm), "limits_passed": passed,
+        "disarmed": found.disarmed, "faults": found.faults[:5],
+        "position_mm": np.percentile(found.off_mm, [50, 90]).tolist(),
+        "states": {s: found.states.count(s) for s in dict.fromkeys(found.states)},
+        "settings": asdict(careful),
+        "calyces": [
+            v.to_dict() | {"true_share": round(true_share[v.calyx], 4), "blocked": i == blocked,
+                           "narrowest_mm": route_to(kidney, start, i, ScopeLimits()).narrowest_mm}
+            for i, v in enumerate(explorer.visits)
+        ],
+    }  # fmt: skip
+
+
+def clock_of(rehearsal: Rehearsal, clock: list[float]) -> None:
+    """Let the breath go by the rehearsal's clock."""
+    twin_pose = rehearsal.twin.pose
+
+    def pose() -> Array:
+        clock[0] = rehearsal.now_s
+        return twin_pose()
+
+    rehearsal.twin.pose = pose  # type: ignore[method-assign]
+
+
+def stone_in(vid: Vid, rng: np.random.Generator) -> tuple[Array, int]:
+    """A stone (x, y, z, radius) that closes the own branch of a calyx, and which calyx."""
+    tree = vid.kidney.centerline
+    calyx = int(rng.integers(len(vid.kidney.calyces)))
+    path = tree.path_to(calyx)
+    own = path[tree.calyx[path] == calyx]
+    to_tip = tree.from_root_mm()[own[-1]] - tree.from_root_mm()[own]
+    at = own[int(np.abs(to_tip - STONE_MM).argmin())]
+    return np.array([*tree.points_mm[at], tree.radius_mm[at] + 0.2]), calyx
+
+
+def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], Sighting]:
+    """True places with noise."""
+
+    def locate(twin: Twin, t_s: float) -> Sighting:
+        turn = Rotation.from_rotvec(rng.normal(0, np.radians(NOISE_DEG), 3)).as_matrix()
+        T = twin.pose() @ transform_from(turn, rng.normal(0, NOISE_MM, 3))
+        return Sighting(T, position_sd_mm=NOISE_MM * 3**0.5)
+
+    return locate
+
+
+def tracker_of(vid: Vid, clock: list[float]) -> Callable[[Twin, float], Sighting]:
+    """Places from the pictures, by the tracker as it runs live, with what the robot reports."""
+    tracker = Tracker(vid)
+
+    def locate(twin: Twin, t_s: float) -> Sighting:
+        joints = twin.scope.drive.joints(twin.axes_mm())
+        odometry = OdometryReading(joints.insertion_mm, joints.bend_x_rad, joints.bend_y_rad)
+        tracked = tracker.follow(tracker.extract(twin.image()), t_s, None, None, odometry)
+        if tracked.state != TRACKING or tracked.T_kidney_camera is None or not np.isfinite(tracked.score):
+            return Sighting(None)
+        sure = tracked.certainty
+        calyces = () if sure is None else tuple(c for c in sure.calyces if c >= 0)
+        sd = None if sure is None else sure.position_sd_mm
+        return Sighting(tracked.T_kidney_camera, calyces, sd, tracked.is_settled)
+
+    return locate
+
+
+def contacts(found: Rehearsed, stone: Array) -> list[int]:
+    """How often the shaft began to push by force against the wall, and how often against the stone."""
+    forced = np.array(found.pressed_mm) > FORCED_MM
+    begun = np.flatnonzero(forced[1:] & ~forced[:-1]) + 1
+    places = np.array(found.T_kidney_camera)[begun, :3, 3]
+    at_stone = np.linalg.norm(places - stone[:3], axis=1) < stone[3] + AT_STONE_MM
+    return [int(np.sum(~at_stone)), int(at_stone.sum())]
+
+
+def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
+    """The bars of exploring by itself."""
+    calyces = [c for f in found for c in f["calyces"]]
+    open_, shut = [c for c in calyces if not c["blocked"]], [c for c in calyces if c["blocked"]]
+
+    def share(name: str, hits: int, of: int) -> None:
+        low, high = wilson(hits, of) if of else (0.0, 1.0)
+        note = f"{hits}/{of}, 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        report.add("exploring", name, "%", [100 * hits / max(of, 1)], note, of)
+
+    said = [c for c in calyces if c["verdict"] == "inspected"]
+    share("reachable calyces inspected", sum(c["verdict"] == "inspected" for c in open_), len(open_))
+    named = [c for c in calyces if c["verdict"] == "out of reach"]
+    share("blocked calyces not called inspected, with a reason", sum(bool(c.get("reason")) for c in shut), len(shut))
+    share("of those called out of reach, really blocked", sum(c["blocked"] for c in named), len(named))
+    for least in (0.7, 0.8, 0.9):
+        wrong = sum(c["true_share"] < least for c in said)
+        report.add("exploring", f"called inspected, less than {least:.0%} really seen", "calyces", [wrong], n=len(said))
+    report.add("exploring", "forced contacts with the wall a kidney", "contacts", [f["forced"][0] for f in found])
+    report.add("exploring", "forced contacts with the stone a kidney", "contacts", [f["forced"][1] for f in found])
+    report.add("exploring", "path over shortest tour", "x", [f["path_mm"] / f["tour_mm"] for f in found])
+    report.add("exploring", "limits passed", "times", [sum(f["limits_passed"] for f in found)], n=len(found))
+    report.add("exploring", "disarmed by the watchdog", "times", [sum(f["disarmed"] for f in found)], n=len(found))
+    report.add("exploring", "not finished in time", "kidneys", [sum(not f["finished"] for f in found)], n=len(found))
+    report.add("exploring", "simulated time a kidney", "s", [f["seconds"] for f in found])
+    report.add("exploring", "position error, median of a kidney", "mm", [f["position_mm"][0] for f in found])
+    report.add("exploring", "position error, 90th percentile of a kidney", "mm", [f["position_mm"][1] for f in found])

@@ -1,0 +1,124 @@
+"""The twin as a Gymnasium environment, so that others can train and compare ways to explore a kidney (extra ``gym``).
+
+env = ScopeEnv(load_vid("my_vid"))
+seen, _ = env.reset(seed=1)
+seen, reward, done, cut, facts = env.step([0.0, 0.2, 1.0])
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ursnav_torch.devices import JointRates, Limits
+from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, Coverage
+from ursnav_torch.extras import import_extra
+from ursnav_torch.geometry import look_along
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.simulation import Scope, SteppedRobot, Twin
+from ursnav_torch.vid import Vid
+
+gymnasium = import_extra("gymnasium", "gym", "The twin as an environment")
+
+Array = NDArray[np.float64]
+Observation = dict[str, NDArray[Any]]
+Reset = tuple[Observation, dict[str, Any]]
+
+#: Simulated seconds a step, in cycles of control of 0.02 s.
+CYCLES, CYCLE_S = 3, 0.02
+#: What a mm of compression of the shaft costs in a step, against 1 for a calyx's whole wall.
+PRESSED_COSTS = 0.01
+#: Every so many views of the VID are asked what they can see.
+_REACH_STRIDE = 4
+
+
+class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
+    """A ureteroscope to be steered through one kidney.
+
+    An action is three stick deflections, -1 to 1: bend about x, bend about y, insertion. They pass the same limits as
+    an operator's. A step is 0.06 s. An observation has ``picture`` (H, W), ``joints`` (3,) as the robot reports them in
+    radians and mm, and ``seen`` (C,), the share of each calyx's wall that was seen. The reward is what a step added to
+    ``seen``, less what pushing against a wall costs. The end is that every calyx in reach is inspected.
+
+    Args:
+        vid: kidney, lens, and the views that tell what is within reach.
+        seconds: an episode is cut off after so much simulated time.
+        breathing_mm: amplitude by which walls move past the scope.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / (CYCLES * CYCLE_S))}  # noqa: RUF012
+
+    def __init__(self, vid: Vid, seconds: float = 300.0, breathing_mm: float = 1.0) -> None:
+        self.vid, self._longest_s, self._breathing_mm = vid, seconds, breathing_mm
+        self.render_mode = "rgb_array"
+        self._renderer = RaycastRenderer(vid.kidney.mesh, vid.camera)
+        self._clean = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
+        box, count = gymnasium.spaces.Box, len(vid.kidney.calyces)
+        reach = np.array([Limits().max_bend_rad] * 2 + [Limits().max_insertion_mm]) + 1.0  # and what a report rounds
+        self.action_space = box(-1.0, 1.0, (3,), np.float64)
+        self.observation_space = gymnasium.spaces.Dict(
+            picture=box(0, 255, (vid.camera.height, vid.camera.width), np.uint8),
+            joints=box(-reach, reach, (3,), np.float64),
+            seen=box(0.0, 1.0, (count,), np.float64),
+        )
+        self.now_s = 0.0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin anew, withdrawn in the pelvis; the seed draws roll, plays and breath."""
+        super().reset(seed=seed)
+        rng, kidney = self.np_random, self.vid.kidney
+        self.now_s, self.coverage = 0.0, self._clean
+        self.coverage.seen_s[:] = 0.0
+        breath = rng.standard_normal(3)
+        breath *= self._breathing_mm / np.linalg.norm(breath)
+        start = kidney.centerline.points_mm[0]
+        plays = (*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0))
+        self.twin = Twin(
+            self.vid.lumen.clearance_mm,
+            lambda T: self._renderer.render(T).image,
+            look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi))),
+            Scope(backlash=plays),
+            breathing=lambda: breath * np.sin(0.5 * np.pi * self.now_s),
+        )
+        self.robot = SteppedRobot(lambda: self.now_s, self.twin.scope.drive)
+        self.robot.connect()
+        self.robot.arm()
+        self.twin.drive_with(self.robot.axes_mm)
+        return self._observed(), {}
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Move for 0.06 s by stick deflections (3,): observation, reward, ended, cut off, facts."""
+        sticks, limits = np.clip(np.asarray(action, float), -1.0, 1.0), self.robot.limits
+        turn = sticks[:2] * limits.max_bend_rate_rad_s
+        wanted = JointRates(float(turn[0]), float(turn[1]), float(sticks[2] * limits.max_insertion_rate_mm_s))
+        before, pressed = self._shares().sum(), 0.0
+        for _ in range(CYCLES):
+            self.robot.command(wanted, dead_man=True)
+            self.now_s += CYCLE_S
+            T = self.twin.pose()
+            pressed = max(pressed, self.twin.pressed_mm)
+        self.robot.read()
+        self.coverage.add(T, CYCLES * CYCLE_S)
+        calyces = self.coverage.calyces()
+        done = all(c.verdict in (INSPECTED, OUT_OF_REACH) for c in calyces)
+        reward = float(self._shares().sum() - before) - PRESSED_COSTS * pressed
+        facts = {"T_kidney_camera": T, "pressed_mm": pressed, "verdicts": {c.calyx: c.verdict for c in calyces}}
+        return self._observed(), reward, done, self.now_s >= self._longest_s, facts
+
+    def render(self) -> NDArray[np.uint8]:
+        """The scope's picture (H, W, 3)."""
+        return np.repeat(self.twin.image()[..., None], 3, axis=2)
+
+    def close(self) -> None:
+        """Disconnect the robot."""
+        self.robot.disconnect()
+
+    def _shares(self) -> Array:
+        return np.array([c.share for c in self.coverage.calyces()])
+
+    def _observed(self) -> Observation:
+        at = self.robot.reported
+        joints = np.array([at.bend_x_rad, at.bend_y_rad, at.insertion_mm])
+        return {"picture": self.twin.image(), "joints": joints, "seen": self._shares()}
