@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.devices import Drive, Joints, Segment, tip_transform
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import check_rigid
+from ursnav_torch.kinematics import turn_towards
 
 SEGMENT, DRIVE = Segment(), Drive()
 bends = st.tuples(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4))
@@ -64,3 +65,33 @@ def test_bends_survive_steps(bend, insertion):
 def test_impossible_segments_are_refused():
     with pytest.raises(InputError, match="length_mm must be positive"):
         Segment(length_mm=0)
+
+
+@given(bends, st.floats(-3.0, 3.0))
+def test_a_change_of_bend_turns_the_tip_as_asked(bend, direction):
+    turn = 0.01 * np.array([math.cos(direction), math.sin(direction)])
+    change = SEGMENT.bend_for_turn(bend, turn)
+    before, after = SEGMENT.point_transform(bend), SEGMENT.point_transform(np.add(bend, change))
+    made = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+    np.testing.assert_allclose(made[:2], turn, atol=5e-4)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_the_turn_towards_a_direction_ends_there(direction):
+    size = np.linalg.norm(direction)
+    if size < 1e-3:
+        return
+    turned = Rotation.from_rotvec([*turn_towards(direction), 0.0]).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(turned, np.divide(direction, size), atol=1e-6)
+
+
+def test_straight_behind_is_half_a_turn_and_straight_ahead_none():
+    assert np.linalg.norm(turn_towards([0.0, 0.0, -1.0])) == pytest.approx(math.pi)
+    assert not turn_towards([0.0, 0.0, 2.0]).any()
+
+
+@given(bends)
+def test_the_rotation_of_a_bend_is_that_of_its_rotation_vector(bend):
+    np.testing.assert_allclose(
+        SEGMENT.point_transform(bend)[:3, :3], Rotation.from_rotvec([*bend, 0.0]).as_matrix(), atol=1e-12
+    )

@@ -212,3 +212,27 @@ def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(
             assert phantom_lumen.clearance_mm(twin.pose()[None, :3, 3])[0] > 0.5
     assert pilot.visited == [c.name for c in phantom.calyces]
     print(f"{len(pilot.visited)} calyces in {clock[0]:.0f} s")
+
+
+def test_breath_moves_the_scope_as_far_as_walls_allow_and_is_none_of_its_own_way():
+    offset = np.array([2.0, 0.0, 0.0])
+    twin = Twin(in_a_tube, black, START, RIGID, breathing=lambda: offset)
+    motors = Motors(twin)
+    np.testing.assert_allclose(twin.pose()[:3, 3], [2.0, 0.0, 0.0])
+    np.testing.assert_allclose(twin.undisturbed[:3, 3], 0.0)
+    offset[:] = [9.0, 0.0, 0.0]
+    assert in_a_tube(twin.pose()[None, :3, 3])[0] >= RIGID.keep_off_mm
+    offset[:] = 0.0
+    motors.go(insertion_mm=5.0)
+    np.testing.assert_allclose(twin.pose()[:3, 3], [0.0, 0.0, 5.0], atol=0.21)
+
+
+def test_a_shaft_that_pushes_against_a_wall_is_compressed_and_says_so():
+    twin = Twin(in_a_tube, black, START, RIGID)
+    motors = Motors(twin)
+    motors.go(insertion_mm=40.0)
+    twin.pose()
+    assert abs(twin.pressed_mm) < 0.25
+    motors.go(insertion_mm=60.5)
+    twin.pose()
+    assert 0.8 < twin.pressed_mm <= RIGID.compression_mm

@@ -1,0 +1,94 @@
+"""From a pose and a way to rates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ursnav_torch.autonomy import AutonomySettings, Perception
+from ursnav_torch.autonomy.steering import Steering, Way
+from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import look_along
+from ursnav_torch.kinematics import Segment
+
+SEEN = Perception(0.0)
+
+
+@pytest.fixture(scope="module")
+def steering(phantom_lumen):
+    return Steering(phantom_lumen, Segment(), AutonomySettings())
+
+
+@pytest.mark.parametrize("calyx", range(6))
+def test_a_place_on_the_way_is_found_where_it_is(phantom, calyx):
+    way = Way(phantom, calyx)
+    for mm in np.linspace(0.0, way.length_mm, 9):
+        assert way.place_mm(way.point_at(mm)) == pytest.approx(mm, abs=0.05)
+    np.testing.assert_allclose(way.point_at(1e9), phantom.calyces[calyx].tip_mm)
+
+
+def test_ways_share_what_lies_before_their_branching(phantom):
+    one, other = Way(phantom, 0), Way(phantom, 5)
+    shared = one.shared_mm(other)
+    assert shared == pytest.approx(other.shared_mm(one)) and one.shared_mm(one) == pytest.approx(one.length_mm)
+    np.testing.assert_allclose(one.point_at(shared), other.point_at(shared), atol=1e-9)
+    assert np.linalg.norm(one.point_at(shared + 3.0) - other.point_at(shared + 3.0)) > 0.5
+
+
+def on_the_way(way, mm, sideways=0.0):
+    """A pose on a way, looking along it or aside."""
+    T = look_along(way.point_at(mm), way.point_at(mm + 5.0) - way.point_at(mm))
+    c, s = np.cos(sideways), np.sin(sideways)
+    T[:3, :3] = T[:3, :3] @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return T
+
+
+def test_along_the_way_it_goes_on_and_off_it_it_only_turns(phantom, steering):
+    way = Way(phantom, 5)
+    ahead = steering.advance(SEEN, on_the_way(way, 3.0), way)
+    aside = steering.advance(SEEN, on_the_way(way, 3.0, 1.0), way)
+    assert ahead.insertion_mm_s > 2.0 and np.linalg.norm(ahead.bend_rad_s) < 0.1
+    assert aside.insertion_mm_s == 0.0 and aside.bend_rad_s[1] < -0.5, "back about y, the way that it looked aside"
+
+
+def test_it_goes_slower_the_less_it_knows_where_it_is(steering):
+    speeds = [steering.sureness(replace(SEEN, position_sd_mm=sd)) for sd in (None, 0.1, 1.0, 2.0, 9.0)]
+    assert speeds[0] == speeds[1] == 1.0 and speeds == sorted(speeds, reverse=True) and 0 < speeds[-1] < 0.2
+
+
+def test_a_wall_that_faces_the_scope_is_not_gone_into_and_along_one_it_creeps(phantom, phantom_lumen, steering):
+    root = phantom.centerline.points_mm[0]
+    sideways = np.cross(Way(phantom, 5).point_at(3.0) - root, [0.0, 0.0, 1.0])
+    sideways /= np.linalg.norm(sideways)
+    places = root + np.arange(0.0, 9.0, 0.05)[:, None] * sideways
+    near = places[np.flatnonzero(phantom_lumen.clearance_mm(places) < 0.9)[0]]
+    room = phantom_lumen.clearance_mm(np.concatenate([near + 0.3 * np.eye(3), near - 0.3 * np.eye(3)]))
+    to_wall = room[3:] - room[:3]
+    assert steering.freedom(look_along(near, to_wall), 0.8) == 0.0
+    assert steering.freedom(look_along(near, -to_wall), 0.8) == 1.0
+    along = np.cross(to_wall, [0.0, 0.0, 1.0])
+    slanted = along / np.linalg.norm(along) + 0.5 * to_wall / np.linalg.norm(to_wall)
+    assert 0.2 < steering.freedom(look_along(near, slanted), 0.8) < 0.5
+
+
+def test_retreating_and_withdrawing_pull(phantom, steering):
+    way = Way(phantom, 2)
+    assert steering.retreat(SEEN, on_the_way(way, 10.0), way).insertion_mm_s < 0
+    bent = replace(SEEN, bend_rad=np.array([0.5, -0.2]))
+    back = steering.withdraw(bent)
+    assert back.insertion_mm_s < 0 and (back.bend_rad_s * bent.bend_rad < 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"mode": "auto"}, "none of assist, explore"),
+        ({"advance_mm_s": 0.0}, "speeds above 0"),
+        ({"attempts": 0}, "at least one attempt"),
+        ({"sure_sd_mm": 3.0}, "0 < sure_sd_mm < doubtful_sd_mm"),
+        ({"done_share": 1.2}, "done_share"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, says):
+    with pytest.raises(InputError, match=says):
+        AutonomySettings(**changes)
