@@ -8,6 +8,7 @@ import pytest
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage, CoverageSettings
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer, RayScene
@@ -85,6 +86,24 @@ def test_a_glance_is_not_enough(coverage: Coverage, vid: Vid) -> None:
     coverage.add(vid.T_kidney_camera[0], 100.0)  # a gap in the video counts no longer than a picture may
     assert coverage.seen_s.max() == pytest.approx(0.1 + coverage.settings.longest_gap_s)
     assert coverage.seen().any()
+
+
+def test_wall_behind_a_stone_is_not_seen(coverage: Coverage, vid: Vid) -> None:
+    """A stone over the picture's left half, at half the picture's size: the wall to its right alone counts."""
+    T, (height, width) = vid.T_kidney_camera[5], (vid.camera.height // 2, vid.camera.width // 2)
+    left = np.zeros((height, width), bool)
+    left[:, : width // 2] = True
+    coverage.add(T, 0.25, [ForegroundBody("stone", 0.99, (0.0, 0.0), 1.0, 0.5, left)])
+    counted, in_view = np.flatnonzero(coverage.seen_s), coverage.in_view(T)
+    x = ((coverage.patches.center_mm[in_view] - T[:3, 3]) @ T[:3, :3])[:, 0]
+    assert set(in_view[x > 0.1]) <= set(counted) <= set(in_view[x > -0.1]) and (x < -0.1).sum() > 5
+
+
+def test_wall_behind_nothing_counts_as_before(coverage: Coverage, vid: Vid) -> None:
+    T = vid.T_kidney_camera[5]
+    empty = np.zeros((40, 40), bool)
+    coverage.add(T, 0.25, [ForegroundBody("instrument", 0.99, (0.0, 0.0), 1.0, 0.0, empty)])
+    assert set(np.flatnonzero(coverage.seen_s)) == set(coverage.in_view(T))
 
 
 def test_a_larger_phantom_is_covered_alike(phantom: Kidney, lens: Camera, vid: Vid) -> None:

@@ -1,6 +1,6 @@
 """Which calyces were seen, and how much of each: the wall painted patch by patch from the scope's poses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.kidney import Kidney, LumenDistance, branch_calyx
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.scaling import scaled
@@ -132,9 +133,19 @@ class Coverage:
             for T in T_reachable:
                 self.in_reach[self.in_view(T)] = True
 
-    def add(self, T_kidney_camera: Array, seconds: float) -> None:
-        """Count a picture from a pose (4, 4) that stood for some seconds."""
-        self.seen_s[self.in_view(T_kidney_camera)] += min(max(seconds, 0.0), self.settings.longest_gap_s)
+    def add(self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = ()) -> None:
+        """Count a picture from a pose (4, 4) that stood for some seconds, but for the wall behind what lies before it.
+
+        Args:
+            T_kidney_camera: where it was taken.
+            seconds: how long it stood.
+            bodies: stones and instruments in the picture.
+        """
+        seen = self.in_view(T_kidney_camera)
+        if bodies and len(seen):
+            before = np.logical_or.reduce([body.mask for body in bodies])
+            seen = seen[~self._covered(T_kidney_camera, seen, before)]
+        self.seen_s[seen] += min(max(seconds, 0.0), self.settings.longest_gap_s)
 
     def seen(self) -> NDArray[np.bool_]:
         """(P,) which patches were in view long enough."""
@@ -156,6 +167,15 @@ class Coverage:
             return near
         depth, _ = self._scene.cast(position, ray)
         return near[depth >= distance - s.patch_mm]
+
+    def _covered(self, T_kidney_camera: Array, patches: IntArray, before: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which patches (N,) of those in view lie where something is before them, by its mask (h, w)."""
+        way = (self.patches.center_mm[patches] - T_kidney_camera[:3, 3]) @ T_kidney_camera[:3, :3]
+        pixels, _ = self.camera.project(way)
+        size = np.array([self.camera.width, self.camera.height])
+        small = np.array(before.shape[::-1])
+        column, row = np.clip(((pixels + 0.5) * small / size).astype(int), 0, small - 1).T
+        return np.asarray(before[row, column], bool)
 
     def calyces(self) -> list[CalyxCoverage]:
         """The verdict on every calyx."""

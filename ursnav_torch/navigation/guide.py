@@ -1,5 +1,7 @@
 """Painting what was seen, and finding the way to what was not: the work beside tracking."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +9,7 @@ from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.route import Route, route_to
 from ursnav_torch.exploration.settings import ExplorationSettings
 from ursnav_torch.exploration.target import next_target
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.navigation.state import Guidance
 from ursnav_torch.navigation.status import turn_words
@@ -35,9 +38,9 @@ class Guide:
         self.chosen = -1
         self._at = vid.kidney.pelvis_mm
 
-    def paint(self, T_kidney_camera: Array, seconds: float) -> None:
-        """Count a picture from a pose (4, 4) that stood for some seconds."""
-        self.coverage.add(T_kidney_camera, seconds)
+    def paint(self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = ()) -> None:
+        """Count a picture, see `Coverage.add`."""
+        self.coverage.add(T_kidney_camera, seconds, bodies)
 
     def guidance(self, T_kidney_camera: Array | None) -> Guidance:
         """Coverage and the way on from a pose (4, 4), or from the last one known."""

@@ -18,6 +18,7 @@ from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import Features
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.kidney import NO_CALYX, set_words
 from ursnav_torch.navigation.bus import Newest, StateBus
 from ursnav_torch.navigation.effort import WORDS, Governor
@@ -94,7 +95,7 @@ class Navigator:
         self._jobs: Newest[_Job] = Newest()
         self._seen: Newest[_Seen] = Newest()
         # The pose where one calyx alone is left, the pose, and the picture's time.
-        self._poses: Newest[tuple[Array | None, Array | None, float]] = Newest()
+        self._poses: Newest[tuple[Array | None, Array | None, float, tuple[ForegroundBody, ...]]] = Newest()
         self._reading: SensorReading | None = None
         self._joints: OdometryReading | None = None
         self._told_coverage = ""
@@ -218,7 +219,7 @@ class Navigator:
             self._failing = False
             self._publish(seen, tracked, begun)
             settled = tracked.T_kidney_camera if tracked.is_settled else None
-            self._poses.put((settled, _believed(tracked), job.frame.stamp.t_mono_s))
+            self._poses.put((settled, _believed(tracked), job.frame.stamp.t_mono_s, tracked.bodies))
             self._finish(job)
 
     def _fail(self, job: _Job, error: Exception) -> None:
@@ -297,9 +298,9 @@ class Navigator:
             found = self._poses.take(0.1)
             begun = time.monotonic()
             if found is not None:
-                settled, T, t_s = found
+                settled, T, t_s, bodies = found
                 if settled is not None and last_s is not None:
-                    self.guide.paint(settled, t_s - last_s)
+                    self.guide.paint(settled, t_s - last_s, bodies)
                 last_s = t_s
             if (found is not None and begun >= due) or self._choose_again:
                 self._choose_again = False

@@ -19,14 +19,15 @@ def track_rows(
     """A row of `TRACK_COLUMNS` for every picture, and the answer it was made from; ``coverage`` is painted along,
     and ``stones`` are looked for.
 
-    A picture is painted when the track is believed and leaves one calyx, for the time since the one before.
+    A picture is painted when the track is believed and leaves one calyx, for the time since the one before,
+    but for the wall behind stones and instruments.
     """
     last = None
     for moment, tracked in answers:
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
         if coverage is not None and tracked.T_kidney_camera is not None and tracked.is_settled:
-            coverage.add(tracked.T_kidney_camera, passed)
+            coverage.add(tracked.T_kidney_camera, passed, tracked.bodies)
         if stones is not None:
             stones.see(tracked, moment.image, moment.t_s, moment.frame)
         yield track_row(moment, tracked, tracker), tracked
