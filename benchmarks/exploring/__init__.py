@@ -221,9 +221,12 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
     open_, shut = [c for c in calyces if not c["blocked"]], [c for c in calyces if c["blocked"]]
 
     def share(name: str, hits: int, of: int) -> None:
-        low, high = wilson(hits, of) if of else (0.0, 1.0)
+        if not of:
+            report.skip(name, "there was none")
+            return
+        low, high = wilson(hits, of)
         note = f"{hits}/{of}, 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
-        report.add("exploring", name, "%", [100 * hits / max(of, 1)], note, of)
+        report.add("exploring", name, "%", [100 * hits / of], note, of)
 
     said = [c for c in calyces if c["verdict"] == "inspected"]
     share("reachable calyces inspected", sum(c["verdict"] == "inspected" for c in open_), len(open_))

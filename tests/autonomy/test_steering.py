@@ -79,6 +79,17 @@ def test_retreating_and_withdrawing_pull(phantom, steering):
     assert back.insertion_mm_s < 0 and (back.bend_rad_s * bent.bend_rad < 0).all()
 
 
+def test_looking_about_bends_round_and_never_inserts(steering):
+    seen, bends = SEEN, []
+    for step in range(300):
+        wish = steering.sweep(seen, 2 * np.pi * step / 100)
+        assert wish.insertion_mm_s == 0.0
+        seen = replace(seen, bend_rad=seen.bend_rad + wish.bend_rad_s * 0.06)
+        bends.append(seen.bend_rad)
+    size = np.linalg.norm(bends[200:], axis=1)
+    assert size.max() < 0.5 and size.min() > 0.25 and np.abs(np.mean(bends[200:], axis=0)).max() < 0.05
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

@@ -32,6 +32,8 @@ _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
 _OUT_MM, _NEWS = 0.2, 0.25
 #: A tip that makes less of the way that the shaft was pushed meets resistance.
 _FOLLOWS = 0.3
+#: A round of looking about takes so long.
+_SWEEP_S = 6.0
 #: Getting on by less than this is none, mm at scale 1.
 _PROGRESS_MM = 0.25
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
@@ -171,11 +173,14 @@ class Explorer:
         return Wish()
 
     def _withdraw(self, seen: Perception, doubt: str) -> Wish:
-        """Back where the place was known."""
-        if not doubt or self._pushed_from - seen.insertion_mm >= self.settings.withdraw_mm or self._is_out(seen):
+        """Back where the place was known; who is all the way back looks about."""
+        s, since_s = self.settings, seen.t_s - self.machine.since_s
+        is_out = self._is_out(seen)
+        enough = since_s > _SWEEP_S if is_out else self._pushed_from - seen.insertion_mm >= s.withdraw_mm
+        if not doubt or enough:
             self._to(State.LOOKING, seen, doubt or "the place is known again")
             return Wish()
-        return self._steering.withdraw(seen)
+        return self._steering.sweep(seen, 2 * np.pi * since_s / _SWEEP_S) if is_out else self._steering.withdraw(seen)
 
     def _go_on(self, seen: Perception) -> None:
         """Choose what is next, and begin to go there; where the target stays, so does what was tried."""

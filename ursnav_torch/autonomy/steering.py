@@ -19,6 +19,8 @@ _ASKEW = 0.75
 _NECK_SHARE = 0.6
 #: A wall whose normal is within 45 degrees of the axis faces the scope; along another it goes on at this part of speed.
 _FACING, _CREEP = 0.7, 0.25
+#: How far the tip bends as it looks about: 25 degrees.
+_SWEEP_RAD = 0.44
 #: How far along the optical axis clearance is looked up, mm at scale 1.
 _LOOK_MM = 1.0
 
@@ -98,6 +100,11 @@ class Steering:
     def withdraw(self, seen: Perception) -> Wish:
         """Pull back without a place, letting the bend go as the shaft comes back."""
         return Wish(-0.3 * np.asarray(seen.bend_rad), -self.settings.withdraw_mm_s)
+
+    def sweep(self, seen: Perception, phase_rad: float) -> Wish:
+        """Look about without a place: bend round a circle, and leave the shaft where it is."""
+        goal = _SWEEP_RAD * np.array([np.cos(phase_rad), np.sin(phase_rad)])
+        return Wish(np.clip(goal - np.asarray(seen.bend_rad), -_SWEEP_RAD, _SWEEP_RAD))
 
     def turn(self, seen: Perception, T: Array, goal_mm: Array) -> Array:
         """Bend rates (2,) that bring the optical axis of a pose (4, 4) towards a point (3,)."""
