@@ -107,6 +107,7 @@ def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
 
 def test_hues_are_those_of_the_picture_left_out_whatever_the_light() -> None:
     picture = torch.full((1, 3, 8, 8), 4.0)
+    picture[0, 2] += 0.7  # a red wall
     picture[0, 0, :2, :2] += 1.0  # a blue corner
     light = torch.linspace(-2, 2, 64).view(1, 1, 8, 8)
     inside = torch.ones(1, 8, 8)
