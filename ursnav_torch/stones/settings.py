@@ -7,7 +7,8 @@ from ursnav_torch.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class StoneMapSettings:
-    """How sightings become stones; mm at the kidney's scale 1. Chosen by ``python -m benchmarks.stones choose=true``.
+    """How sightings become stones; mm at the kidney's scale 1. Those of evidence and size were chosen by
+    ``python -m benchmarks.stones half=choosing vary=NAME=VALUE,...``.
 
     Attributes:
         farthest_mm: a sighting farther than this is none.
@@ -40,13 +41,13 @@ class StoneMapSettings:
     hit: float = 1.0
     miss: float = 1.0
     expected_share: float = 0.03
-    least: float = 5.0
+    least: float = 4.5
     certain: float = 9.0
     most: float = 12.0
     gone: float = -2.0
-    size_quantile: float = 0.6
-    size_factor: float = 1.0
-    smallest_mm: float = 1.5
+    size_quantile: float = 0.5
+    size_factor: float = 1.2
+    smallest_mm: float = 1.2
 
     def __post_init__(self) -> None:
         if min(self.hit, self.miss, self.independent_s, self.alike, self.size_factor) <= 0:
