@@ -93,7 +93,9 @@ def _tell(report: Report, group: str, score: Score) -> None:
         low, high = wilson(good, of)
         note = f"{good}/{of}, 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         report.add(group, what, "%", [100 * good / max(of, 1)], note, max(of, 1))
-    report.add(group, "false stones, a kidney", "stones", [score.false / score.kidneys], f"{score.false}", score.kidneys)
+    report.add(
+        group, "false stones, a kidney", "stones", [score.false / score.kidneys], f"{score.false}", score.kidneys
+    )
     if score.off_mm:
         report.add(group, "error of the place", "mm", score.off_mm)
         report.add(group, "error of the size", "%", [100 * abs(s) for s in score.size_share])

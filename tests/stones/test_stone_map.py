@@ -6,14 +6,14 @@ from stone_views import ball_bodies, ball_on_wall, way_in
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.stones import GONE, THERE, StoneMap
+from ursnav_torch.stones import GONE, THERE, StoneMap, StoneMapSettings
 
 RADIUS = 1.6
 
 
 @pytest.fixture
 def stones(phantom: Kidney, phantom_lumen: LumenDistance, lens: Camera) -> StoneMap:
-    return StoneMap(phantom, phantom_lumen, lens)
+    return StoneMap(phantom, phantom_lumen, lens, StoneMapSettings(size_factor=1.0))  # outlines are whole here
 
 
 def test_a_ball_at_a_known_place_is_recovered_from_its_outlines(stones: StoneMap, lens: Camera) -> None:
@@ -55,3 +55,24 @@ def test_a_stone_that_is_taken_out_is_gone(stones: StoneMap, lens: Camera) -> No
         if visit == 0:
             assert [s.state for s in stones.stones()] == [THERE]
     assert [s.state for s in stones.stones()] == [GONE]
+
+
+def test_a_stone_behind_the_wall_is_not_missed(stones: StoneMap, lens: Camera) -> None:
+    """Pictures of another calyx say nothing of a stone that wall hides from them."""
+    center = ball_on_wall(stones.kidney, stones.lumen, 0, RADIUS)
+    for number, T in enumerate(way_in(stones.kidney, 0, 16)):
+        stones.add(T, ball_bodies(lens, stones.lumen, T, [(center, RADIUS)]), 0.3 * number)
+    (before,) = stones.stones()
+    for number, T in enumerate(way_in(stones.kidney, 3, 30)):
+        stones.add(T, (), 100 + 0.3 * number)
+    (after,) = stones.stones()
+    assert after.state == THERE and after.confidence == before.confidence
+
+
+def test_two_stones_side_by_side_stay_two(stones: StoneMap, lens: Camera) -> None:
+    balls = [(ball_on_wall(stones.kidney, stones.lumen, calyx, 1.0), 1.0) for calyx in (0, 0)]
+    balls[1] = (balls[0][0] + 2.4 * np.array([0.0, 0.0, 1.0]), 1.0)
+    for number, T in enumerate(way_in(stones.kidney, 0, 24)):
+        bodies = tuple(b for ball in balls for b in ball_bodies(lens, stones.lumen, T, [ball]))
+        stones.add(T, bodies, 0.3 * number)
+    assert len(stones.stones()) == 2
