@@ -19,7 +19,7 @@ from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
 from ursnav_torch.reports.overview import draw_overview
-from ursnav_torch.reports.session_parts import files_to_keep, film, time_line
+from ursnav_torch.reports.session_parts import PUBLISHED_PATHS, files_to_keep, film, time_line, training_summary
 from ursnav_torch.reports.stretches import DOUBT, DOUBT_S, LONGEST_GAP_S, session_stretches
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
@@ -145,7 +145,7 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
         coverage.add(T, float(seconds))
     details, stretches, pictures = _details(figures, coverage, replay), session_stretches(replay), film(replay, prefix)
     return {
-        "summary": _summary(figures, len(vid.kidney.calyces)),
+        "summary": _summary(figures, len(vid.kidney.calyces)) | training_summary(coverage.calyces()),
         "path": [inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
         "coverage": inline_picture(draw_coverage(coverage)),
         "pictures": pictures,
@@ -242,7 +242,7 @@ def _summary(figures: SessionFigures, calyces: int) -> dict[str, str]:
         "duration": f"{seconds:.0f} s",
         "pictures located": f"{len(figures.t_s)}, {tracked:.0%} of them with a place that was believed",
         "calyces looked into": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
-        "path": f"{figures.path_mm:.0f} mm, {figures.speed_mm_s:.1f} mm/s while moving (median)",
+        "path": f"{figures.path_mm:.0f} mm, {figures.speed_mm_s:.1f} mm/s while moving (median); {PUBLISHED_PATHS}",
         "picture to pose": f"{figures.latency_ms[0]:.0f} ms median, {figures.latency_ms[1]:.0f} ms 95th percentile",
         "doubtful moments": f"{len(figures.moments)}, {sum(m.to_s - m.from_s for m in figures.moments):.0f} s in all",
     }

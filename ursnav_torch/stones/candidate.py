@@ -5,7 +5,7 @@ import numpy as np
 from ursnav_torch.geometry import Array
 from ursnav_torch.stones.ball import Ball, Clearance, Cones, fit_ball
 from ursnav_torch.stones.settings import StoneMapSettings
-from ursnav_torch.stones.sighting import Sighting
+from ursnav_torch.stones.sighting import StoneSighting
 
 #: Sightings kept of a stone; of more, every other is dropped, so that they go on spanning all visits.
 _MOST_KEPT = 48
@@ -18,7 +18,7 @@ _GROWN = 1.25
 
 
 #: Where the lens stood, the ray in the kidney frame, the sighting, and the pose's standard deviations.
-View = tuple[Array, Array, Sighting, float, float]
+View = tuple[Array, Array, StoneSighting, float, float]
 
 
 class _Views:
@@ -67,7 +67,7 @@ class StoneCandidate:
         self._views = _Views()
         self._fitted = 0
 
-    def see(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int, weight: float) -> None:
+    def see(self, T: Array, seen: StoneSighting, sd: tuple[float, float], frame: int, weight: float) -> None:
         """Take in a sighting from a pose (4, 4) with standard deviations in mm and radians."""
         self.pictures += 1
         self._views.add((T[:3, 3].copy(), T[:3, :3] @ seen.ray, seen, *sd))

@@ -20,7 +20,7 @@ from ursnav_torch.scaling import scaled
 from ursnav_torch.stones.ball import contact_depth_mm
 from ursnav_torch.stones.candidate import StoneCandidate
 from ursnav_torch.stones.settings import StoneMapSettings
-from ursnav_torch.stones.sighting import ConeOfSight, Sighting
+from ursnav_torch.stones.sighting import ConeOfSight, StoneSighting
 
 #: States of a stone that is told.
 THERE, GONE = "there", "gone"
@@ -149,7 +149,7 @@ class StoneMap:
         """Index of the calyx in which a place (3,) lies, -1 for none."""
         return int(branch_calyx(center_mm[None], self.kidney, self.lumen, IN_CALYX_MM * self.kidney.scale)[0])
 
-    def _costs(self, T: Array, seen: Sequence[Sighting], sd: tuple[float, float]) -> Array:
+    def _costs(self, T: Array, seen: Sequence[StoneSighting], sd: tuple[float, float]) -> Array:
         """(N, K) of each sighting and candidate; 1 and more: not the same."""
         cost = np.full((len(seen), len(self._candidates)), np.inf)
         for k, candidate in enumerate(self._candidates):
@@ -172,12 +172,12 @@ class StoneMap:
                         cost[n, k] = np.inf
         return cost
 
-    def _contact(self, T: Array, seen: Sighting) -> float:
+    def _contact(self, T: Array, seen: StoneSighting) -> float:
         return contact_depth_mm(
             T[:3, 3], T[:3, :3] @ seen.ray, seen.half_angle, self.lumen.clearance_mm, self.settings.farthest_mm
         )
 
-    def _begin(self, T: Array, seen: Sighting, sd: tuple[float, float], frame: int) -> StoneCandidate:
+    def _begin(self, T: Array, seen: StoneSighting, sd: tuple[float, float], frame: int) -> StoneCandidate:
         self._keys += 1
         candidate = StoneCandidate(self._keys, self.settings)
         candidate.see(T, seen, sd, frame, 1.0)

@@ -16,7 +16,7 @@ _RIM = 0.07
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class StoneSighting:
     """A stone as one picture shows it.
 
     Attributes:
@@ -52,11 +52,11 @@ class ConeOfSight:
         self._rim = inside & (ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] < _RIM * min(inside.shape))
         self.solid_angle = float(self._steradian.sum())
 
-    def sightings(self, bodies: Iterable[ForegroundBody]) -> tuple[Sighting, ...]:
+    def sightings(self, bodies: Iterable[ForegroundBody]) -> tuple[StoneSighting, ...]:
         """The stones among the bodies of a picture."""
         return tuple(self._sighting(body) for body in bodies if body.kind == "stone")
 
-    def _sighting(self, body: ForegroundBody) -> Sighting:
+    def _sighting(self, body: ForegroundBody) -> StoneSighting:
         weight = self._steradian[body.mask]
         ray = weight @ self._rays[body.mask]
         half = float(np.arccos(np.clip(1 - weight.sum() / (2 * np.pi), -1, 1)))
@@ -64,6 +64,6 @@ class ConeOfSight:
         rays = self._rays[outline]
         pixel = float(np.sqrt(weight.mean()))  # from the middles of the outline's pixels to their outer edges
         extent = float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max()) + pixel
-        return Sighting(
+        return StoneSighting(
             ray / np.linalg.norm(ray), half, extent, not bool((body.mask & self._rim).any()), body.probability
         )
