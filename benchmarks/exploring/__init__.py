@@ -50,8 +50,8 @@ Array = NDArray[np.float64]
 ROOMS = ("autonomy", "exploration", "navigation", "simulation", "tracking")
 TRUE, TRACKED = "true", "tracked"
 SETTINGS = {
-    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0, "breathing_mm": 1.0, "work": "",
-    "set": "", "only": "", "out": "",
+    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0, "breathing_mm": 1.0,
+    "rate_hz": 15.0, "work": "", "set": "", "only": "", "out": "",
 }  # fmt: skip
 #: Noise of places that stand for a tracker's: mm and degrees, each axis.
 NOISE_MM, NOISE_DEG = 0.3, 1.5
@@ -85,7 +85,9 @@ def main(arguments: Sequence[str]) -> int:
 def explored(case: Case, settings: dict[str, Any], work: Path) -> dict[str, Any]:
     """What exploring one phantom brought; from the work folder where the same was done already."""
     careful = tried(settings["set"])
-    key = sources(ROOMS) + repr([case, careful, *(settings[k] for k in ("views", "pose", "seconds", "breathing_mm"))])
+    key = sources(ROOMS) + repr(
+        [case, careful, *(settings[k] for k in ("views", "pose", "seconds", "breathing_mm", "rate_hz"))]
+    )
     path = work / "explored" / f"{case.kidney}_{hashlib.sha256(key.encode()).hexdigest()[:8]}.json"
     if not path.exists():
         vid = vid_for(case, settings["views"], work, None)
@@ -127,7 +129,7 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
         breathing=lambda: breath * np.sin(2 * np.pi * BREATH_HZ * clock[0]),
     )
     locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid, clock)
-    rehearsal = Rehearsal(twin, explorer, locate)
+    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"])
     clock_of(rehearsal, clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
