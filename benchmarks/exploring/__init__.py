@@ -36,7 +36,7 @@ from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.route import route_to
 from ursnav_torch.files import write_json
 from ursnav_torch.geometry import look_along, transform_from
-from ursnav_torch.navigation.rehearsal import Rehearsal, Rehearsed, Sighting
+from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, Rehearsed
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
 from ursnav_torch.simulation import Scope, Twin
@@ -129,7 +129,7 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
         breathing=lambda: breath * np.sin(2 * np.pi * BREATH_HZ * clock[0]),
     )
     locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid, clock)
-    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"])
+    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], leads_in=settings["pose"] == TRACKED)
     clock_of(rehearsal, clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
@@ -179,31 +179,31 @@ def stone_in(vid: Vid, rng: np.random.Generator) -> tuple[Array, int]:
     return np.array([*tree.points_mm[at], tree.radius_mm[at] + 0.2]), calyx
 
 
-def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], Sighting]:
+def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], PictureAnswer]:
     """True places with noise."""
 
-    def locate(twin: Twin, t_s: float) -> Sighting:
+    def locate(twin: Twin, t_s: float) -> PictureAnswer:
         turn = Rotation.from_rotvec(rng.normal(0, np.radians(NOISE_DEG), 3)).as_matrix()
         T = twin.pose() @ transform_from(turn, rng.normal(0, NOISE_MM, 3))
-        return Sighting(T, position_sd_mm=NOISE_MM * 3**0.5)
+        return PictureAnswer(T, position_sd_mm=NOISE_MM * 3**0.5)
 
     return locate
 
 
-def tracker_of(vid: Vid, clock: list[float]) -> Callable[[Twin, float], Sighting]:
+def tracker_of(vid: Vid, clock: list[float]) -> Callable[[Twin, float], PictureAnswer]:
     """Places from the pictures, by the tracker as it runs live, with what the robot reports."""
     tracker = Tracker(vid)
 
-    def locate(twin: Twin, t_s: float) -> Sighting:
+    def locate(twin: Twin, t_s: float) -> PictureAnswer:
         joints = twin.scope.drive.joints(twin.axes_mm())
         odometry = OdometryReading(joints.insertion_mm, joints.bend_x_rad, joints.bend_y_rad)
         tracked = tracker.follow(tracker.extract(twin.image()), t_s, None, None, odometry)
         if tracked.state != TRACKING or tracked.T_kidney_camera is None or not np.isfinite(tracked.score):
-            return Sighting(None)
+            return PictureAnswer(None)
         sure = tracked.certainty
         calyces = () if sure is None else tuple(c for c in sure.calyces if c >= 0)
         sd = None if sure is None else sure.position_sd_mm
-        return Sighting(tracked.T_kidney_camera, calyces, sd, tracked.is_settled)
+        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled)
 
     return locate
 

@@ -118,3 +118,12 @@ def test_a_finished_exploration_stays_so(explorer, at_root):
     assert explorer.finished
     assert {v.reason for v in explorer.visits} == {"a stone blocks the way"}
     assert explorer.step(later(at_root, 1.0), Permission(stopped=True)).is_still and explorer.finished
+
+
+def test_two_calyces_in_sight_of_a_sure_place_are_no_doubt(explorer, at_root):
+    seen = in_state(explorer, at_root, State.APPROACHING)
+    both = (explorer.target, (explorer.target + 1) % 6)
+    explorer.step(later(seen, 0.02, calyces=both, position_sd_mm=0.4), HELD)
+    assert explorer.machine.state is State.APPROACHING
+    explorer.step(later(seen, 0.04, calyces=both, position_sd_mm=1.5), HELD)
+    assert explorer.machine.state is State.LOOKING

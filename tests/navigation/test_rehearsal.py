@@ -6,7 +6,7 @@ import pytest
 from ursnav_torch.autonomy import Explorer, State
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.geometry import look_along
-from ursnav_torch.navigation.rehearsal import Rehearsal, Sighting
+from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal
 from ursnav_torch.simulation import Twin
 
 
@@ -15,7 +15,7 @@ def rehearsal(phantom, phantom_lumen, lens, vid, **changes):
     T = look_along(start, phantom.tips_mm.mean(axis=0) - start)
     twin = Twin(phantom_lumen.clearance_mm, lambda T: np.zeros((1, 1), np.uint8), T)
     explorer = Explorer(Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2]), phantom_lumen)
-    return Rehearsal(twin, explorer, lambda twin, t_s: Sighting(twin.pose().copy()), **changes)
+    return Rehearsal(twin, explorer, lambda twin, t_s: PictureAnswer(twin.pose().copy()), **changes)
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_it_stands_still_while_the_button_is_released(make):
 def test_silence_of_the_pictures_ends_motion(make):
     rehearsed = make()
     seen = rehearsed._locate
-    rehearsed._locate = lambda twin, t_s: seen(twin, t_s) if t_s < 2.0 else Sighting(None)
+    rehearsed._locate = lambda twin, t_s: seen(twin, t_s) if t_s < 2.0 else PictureAnswer(None)
     found = rehearsed.run(4.2)
     t_s, states = np.array(found.t_s), np.array(found.states)
     assert "looking" in states[(t_s > 2.5) & (t_s < 3.0)]

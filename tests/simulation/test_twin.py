@@ -214,6 +214,17 @@ def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(
     print(f"{len(pilot.visited)} calyces in {clock[0]:.0f} s")
 
 
+def test_a_pilot_that_hands_over_only_holds_the_button_once_it_is_in_a_calyx(phantom, phantom_lumen, renderer):
+    with TwinPilot(make_twin(World(phantom, renderer, phantom_lumen)), phantom) as pilot:
+        pilot.hands_over = True
+        assert pilot.read().arm
+        leading = pilot.read()
+        assert leading.dead_man and (leading.bend_x or leading.bend_y)
+        pilot.visited.append("A")
+        hands = pilot.read()
+        assert hands.dead_man and not (hands.bend_x or hands.bend_y or hands.insertion)
+
+
 def test_breath_moves_the_scope_as_far_as_walls_allow_and_is_none_of_its_own_way():
     offset = np.array([2.0, 0.0, 0.0])
     twin = Twin(in_a_tube, black, START, RIGID, breathing=lambda: offset)

@@ -134,7 +134,8 @@ class Explorer:
             return "no place from the pictures"
         if seen.position_sd_mm is not None and seen.position_sd_mm > s.doubtful_sd_mm:
             return f"the place may be {seen.position_sd_mm:.1f} mm off"
-        if len(seen.calyces) > 1 and self.target in seen.calyces:
+        sure = seen.position_sd_mm is not None and seen.position_sd_mm <= s.sure_sd_mm
+        if len(seen.calyces) > 1 and self.target in seen.calyces and not sure:  # where it is sure, two are in sight
             return "it may be calyx " + " or ".join(self.visits[c].calyx for c in seen.calyces)
         return ""
 

@@ -17,16 +17,18 @@ from ursnav_torch.devices.robots.safety import ARMED
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.navigation.autopilot import Autopilot
 from ursnav_torch.session.control import Control
-from ursnav_torch.simulation import SteppedRobot, Twin
+from ursnav_torch.simulation import SteppedRobot, Twin, TwinPilot
 
 Array = NDArray[np.float64]
 
 #: Cycles of control a second, as live.
 CONTROL_HZ = 50
+#: From a picture to its answer, s: what live tracking is to keep.
+LATENCY_S = 0.13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class PictureAnswer:
     """What was made of one picture.
 
     Attributes:
@@ -43,7 +45,7 @@ class Sighting:
 
 
 #: Makes a sighting of the scope as it is at a time, s.
-Locate = Callable[[Twin, float], Sighting]
+Locate = Callable[[Twin, float], PictureAnswer]
 
 
 class SimulatedOperator(Gamepad):
@@ -105,8 +107,8 @@ class Rehearsal:
         explorer: what goes where; its coverage is painted from here.
         locate: makes a sighting of a picture.
         pictures_per_s: rate of the camera.
-        latency_s: from a picture to its answer.
         holds: whether the dead-man button is held at a time.
+        leads_in: whether a pilot first steers into a calyx, where a tracker finds its place.
     """
 
     def __init__(
@@ -115,19 +117,22 @@ class Rehearsal:
         explorer: Explorer,
         locate: Locate,
         pictures_per_s: float = 15.0,
-        latency_s: float = 0.13,
         holds: Callable[[float], bool] = lambda t_s: True,
+        leads_in: bool = False,
     ) -> None:
         self.twin, self.explorer, self._locate = twin, explorer, locate
-        self._period_s, self._latency_s = 1 / pictures_per_s, latency_s
+        self._period_s = 1 / pictures_per_s
         self.now_s = 0.0
         self.robot = SteppedRobot(lambda: self.now_s, twin.scope.drive)
         twin.drive_with(self.robot.axes_mm)
-        operator = SimulatedOperator(lambda: self.now_s, holds)
+        operator: Gamepad = SimulatedOperator(lambda: self.now_s, holds)
+        if leads_in:
+            operator = TwinPilot(twin, explorer.kidney, clock=lambda: self.now_s)
+            operator.hands_over = True
         self.autopilot = Autopilot(operator, self.robot, explorer, self._perceive)
         self._control = Control(self.robot, self.autopilot)
-        self._coming: deque[tuple[float, float, Sighting]] = deque()
-        self._newest: tuple[float, Sighting] = (0.0, Sighting(None))
+        self._coming: deque[tuple[float, float, PictureAnswer]] = deque()
+        self._newest: tuple[float, PictureAnswer] = (0.0, PictureAnswer(None))
         self._painted_s, self._due_s = 0.0, 0.0
 
     def run(self, longest_s: float = 600.0, truth: Coverage | None = None) -> Rehearsed:
@@ -161,7 +166,7 @@ class Rehearsal:
         """A picture is taken; its answer is on its way."""
         self._due_s += self._period_s
         sighting = self._locate(self.twin, self.now_s)
-        self._coming.append((self.now_s + self._latency_s, self.now_s, sighting))
+        self._coming.append((self.now_s + LATENCY_S, self.now_s, sighting))
         if sighting.T_kidney_camera is not None:
             found.off_mm.append(float(np.linalg.norm(sighting.T_kidney_camera[:3, 3] - T[:3, 3])))
         at = self.robot.drive.joints(self.robot.axes_mm())

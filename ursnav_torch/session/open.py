@@ -80,7 +80,7 @@ def open_session(
         duration_s: end after so long; 0 for no end but the operator's, or the record's.
         watched: a page watches: a replay stays open at its end, a pilot leaves the scope to the page.
         on_seek: called when a replay goes on from another moment.
-        between: what adds to the operator's hands, such as autonomy; a simulated pilot then only holds the dead man.
+        between: what adds to the operator's hands, such as autonomy; a simulated pilot then hands over.
 
     Raises:
         InputError: the record is to be written over itself.
@@ -109,7 +109,7 @@ def _open_rig(
     hands: Gamepad = console
     if between is not None:
         if isinstance(rig.gamepad, TwinPilot):
-            rig.gamepad.steers = False
+            rig.gamepad.hands_over = True
         hands = between(console, rig, watched)
     rig = stack.enter_context(replace(rig, gamepad=hands))
     live = Live(rig, duration_s)

@@ -29,7 +29,8 @@ class TwinPilot(Gamepad):
     """An input device without an operator: flies the twin into the calyces in turn, out again, and quits at the end.
 
     A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`. Where autonomy
-    flies, it only arms and holds the dead-man button: `steers` is False.
+    is to fly, it steers into the first calyx, where the tracker finds its place, and from then on only holds the
+    dead-man button: `hands_over` is True.
 
     Args:
         twin: the scope to fly; its motors are moved through the robot like an operator's.
@@ -53,7 +54,7 @@ class TwinPilot(Gamepad):
         self._names = [c.name for c in kidney.calyces] if calyces is None else list(calyces)
         self._segment: Segment = twin.scope.drive.segment
         self.visited: list[str] = []
-        self.steers = True
+        self.hands_over = False
         self._goals: list[Goal] = []
         self._round = 0
         self._entering = True
@@ -66,7 +67,7 @@ class TwinPilot(Gamepad):
         if not self._armed:
             self._armed = True
             return OperatorInput(stamp, arm=True)
-        if not self.steers:
+        if self.hands_over and self.visited:
             return OperatorInput(stamp, dead_man=True)
         if not self._goals:
             self._round += 1
