@@ -30,6 +30,7 @@ from benchmarks.shared.statistics import wilson
 from benchmarks.shared.track_records import sources
 from ursnav_torch.autonomy import AutonomySettings, Explorer
 from ursnav_torch.autonomy.tour import Tour
+from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
@@ -152,7 +153,7 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
         "calyces": [
             v.to_dict() | {"true_share": round(true_share[v.calyx], 4), "blocked": i == blocked,
                            "narrowest_mm": route_to(kidney, start, i, ScopeLimits()).narrowest_mm}
-            for i, v in enumerate(explorer.visits)
+            for i, v in enumerate(explorer.account().visits)
         ],
     }  # fmt: skip
 
@@ -230,11 +231,15 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
         note = f"{hits}/{of}, 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         report.add("exploring", name, "%", [100 * hits / of], note, of)
 
-    said = [c for c in calyces if c["verdict"] == "inspected"]
-    share("reachable calyces inspected", sum(c["verdict"] == "inspected" for c in open_), len(open_))
-    named = [c for c in calyces if c["verdict"] == "out of reach"]
-    share("blocked calyces not called inspected, with a reason", sum(bool(c.get("reason")) for c in shut), len(shut))
-    share("of those called out of reach, really blocked", sum(c["blocked"] for c in named), len(named))
+    said = [c for c in calyces if c["verdict"] == INSPECTED]
+    share("reachable calyces inspected", sum(c["verdict"] == INSPECTED for c in open_), len(open_))
+    named = [c for c in calyces if c["verdict"] == NOT_REACHED]
+    right = sum(c["verdict"] == NOT_REACHED and bool(c.get("reason")) for c in shut)
+    share("blocked calyces called not reached, with the reason", right, len(shut))
+    share("of those called not reached, really blocked", sum(c["blocked"] for c in named), len(named))
+    for verdict in (PARTLY, UNSEEN, NOT_TRIED):
+        hits = sum(c["verdict"] == verdict for c in calyces)
+        report.add("exploring", f"calyces {verdict}", "calyces", [hits], n=len(calyces))
     for least in (0.7, 0.8, 0.9):
         wrong = sum(c["true_share"] < least for c in said)
         report.add("exploring", f"called inspected, less than {least:.0%} really seen", "calyces", [wrong], n=len(said))

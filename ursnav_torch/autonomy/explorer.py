@@ -3,7 +3,8 @@
 Pure logic: no device, no thread and no clock of its own; `Explorer.step` is called in every cycle of control.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from ursnav_torch.autonomy.settings import AutonomySettings
 from ursnav_torch.autonomy.states import MOVING, State, StateMachine
 from ursnav_torch.autonomy.steering import Steering, Way
 from ursnav_torch.autonomy.tour import Tour
-from ursnav_torch.autonomy.visits import INSPECTED, OPEN, OUT_OF_REACH, PARTLY, Visit
+from ursnav_torch.autonomy.visits import OPEN, Explored, Visit
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.route import route_to
@@ -92,11 +93,19 @@ class Explorer:
 
     def leave_out(self, calyx: int, reason: str) -> None:
         """A calyx (index) cannot be visited, for a reason that others know: a stone blocks the way."""
-        visit = self.visits[calyx]
-        if visit.verdict == OPEN:
-            visit.verdict, visit.reason = OUT_OF_REACH, reason
+        if self.visits[calyx].verdict == OPEN:
+            self._share(calyx)
+            self.visits[calyx].close(self._least, "", blocked=reason)
             if calyx == self.target:
                 self.target = -1
+
+    def account(self) -> Explored:
+        """What became of every calyx until now; those still open are closed with what it was doing."""
+        machine = self.machine
+        visits = tuple(replace(visit) for visit in self.visits)
+        if not self.finished:
+            self._end(visits, f"ended while {machine.state.value}: {machine.reason}")
+        return Explored(visits, machine.reason, self.finished)
 
     def step(self, seen: Perception, may: Permission) -> Wish:
         """One cycle of control: what the joints shall do now. Still in every state that is not one of `MOVING`."""
@@ -238,7 +247,7 @@ class Explorer:
         place = self._smoothed(seen, T[:3, 3])
         at = way.place_mm(place)
         visit.nearest_mm = min(visit.nearest_mm, way.length_mm - at)
-        if way.length_mm - at <= s.standoff_mm or self._share() >= s.done_share:
+        if way.length_mm - at <= s.standoff_mm or self._share(self.target) >= s.done_share:
             self._look_around(seen)
             return Wish()
         if at > self._best_mm + _PROGRESS_MM * self._unit:
@@ -295,7 +304,7 @@ class Explorer:
     def _inspect(self, seen: Perception, T: Array) -> Wish:
         """Turn to the wall that was not seen, until enough was, or no view shows more."""
         s = self.settings
-        if self._share() >= s.done_share:
+        if self._share(self.target) >= s.done_share:
             self._close(seen, "")
             return Wish()
         begun = self._inspected_from_s if self._inspected_from_s is not None else seen.t_s
@@ -338,32 +347,39 @@ class Explorer:
             if self._best is None or plan.gain > self._best.gain:
                 self._best = plan
 
-    def _share(self) -> float:
-        """Part of the target's wall that was seen, of what the scope can see of it."""
-        own = (self.coverage.patches.calyx == self.target) & self.coverage.in_reach
+    def _share(self, calyx: int) -> float:
+        """Part of a calyx's wall that was seen, of what the scope can see of it."""
+        own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
         area = self.coverage.patches.area_mm2
         total = float(area[own].sum())
         share = float(area[own & self.coverage.seen()].sum()) / total if total > 0 else 0.0
-        self.visits[self.target].share = share
+        self.visits[calyx].share = share
         return share
 
     def _close(self, seen: Perception, reason: str) -> None:
         """Be done with the target, for good or bad, and go on to the next."""
-        visit, share = self.visits[self.target], self._share()
-        if share >= self.settings.done_share:
-            visit.verdict, visit.reason = INSPECTED, ""
-        elif share >= self.coverage.settings.glimpsed:
-            visit.verdict, visit.reason = PARTLY, self._blocked or reason
-        else:
-            visit.verdict, visit.reason = OUT_OF_REACH, self._blocked or reason
+        self._share(self.target)
+        self.visits[self.target].close(self._least, reason, self._blocked)
         self.target = -1
         self._choose(seen)
         if not self.finished:
             self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
 
     def _finish(self, seen: Perception, reason: str) -> None:
-        for visit in self.visits:
-            if visit.verdict == OPEN:
-                visit.verdict, visit.reason = (PARTLY if visit.share else OUT_OF_REACH), reason
+        self._end(self.visits, reason)
         self.target = -1
         self._to(State.FINISHED, seen, reason)
+
+    @property
+    def _least(self) -> tuple[float, float]:
+        """Shares of a calyx's wall from which on it is partly seen and inspected."""
+        return self.coverage.settings.glimpsed, self.settings.done_share
+
+    def _end(self, visits: Sequence[Visit], reason: str) -> None:
+        """Close what is open, for a reason; what was seen in passing counts for all."""
+        for calyx, (visit, seen) in enumerate(zip(visits, self.coverage.calyces(), strict=True)):
+            visit.share = max(visit.share, seen.share)
+            if visit.verdict == OPEN:
+                visit.close(self._least, reason, self._blocked if calyx == self.target else "")
+            elif visit.share >= self.settings.done_share:
+                visit.close(self._least, "")

@@ -27,7 +27,7 @@ class AutonomySettings:
         slack_mm: the slider's play: so far it turns round before the shaft follows.
         resistance_mm: pushed this far without getting on, it meets resistance.
         back_off_mm: how far it backs off then.
-        attempts: ways into a calyx that are tried before it counts as out of reach.
+        attempts: ways into a calyx that are tried before it counts as not reached.
         patience_s: an attempt that gets nowhere ends after this.
         inspect_s: a calyx whose wall is not seen after so long is left as it is.
         done_share: part of a calyx's wall, of what the scope can see of it, that must be seen.

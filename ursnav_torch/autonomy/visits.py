@@ -3,7 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-OPEN, INSPECTED, PARTLY, OUT_OF_REACH = "open", "inspected", "partly seen", "out of reach"
+OPEN, INSPECTED, PARTLY, UNSEEN = "open", "inspected", "partly seen", "not seen"
+NOT_REACHED, NOT_TRIED = "not reached", "not tried"
 
 
 @dataclass(slots=True)
@@ -12,7 +13,9 @@ class Visit:
 
     Attributes:
         calyx: its name.
-        verdict: ``open`` until it is known, then ``inspected``, ``partly seen`` or ``out of reach``.
+        verdict: ``open`` until it is known. Then ``inspected``; ``partly seen`` or ``not seen`` where nothing was in
+            the way; ``not reached`` where something was, however much was seen past it; or ``not tried``: no way in was
+            begun before the exploration ended.
         share: part of its wall that was seen, of what the scope can see of it.
         reason: why it was not inspected.
         attempts: ways in that were tried.
@@ -26,6 +29,29 @@ class Visit:
     attempts: int = 0
     nearest_mm: float = float("inf")
 
+    @property
+    def tried(self) -> bool:
+        """Whether a way in was begun."""
+        return self.nearest_mm < float("inf")
+
+    def close(self, least: tuple[float, float], reason: str, blocked: str = "") -> None:
+        """The verdict, by what was seen and what was in the way.
+
+        Args:
+            least: shares of the wall from which on it is partly seen and inspected.
+            reason: why no more was seen.
+            blocked: what was in the way; empty for nothing.
+        """
+        glimpsed, done = least
+        if self.share >= done:
+            self.verdict, self.reason = INSPECTED, ""
+        elif blocked:
+            self.verdict, self.reason = NOT_REACHED, blocked
+        elif not self.tried:
+            self.verdict, self.reason = NOT_TRIED, reason
+        else:
+            self.verdict, self.reason = (PARTLY if self.share >= glimpsed else UNSEEN), reason
+
     def to_dict(self) -> dict[str, Any]:
         """As it is kept in files; what is not known is left out."""
         plain = asdict(self) | {"share": round(self.share, 4), "nearest_mm": round(self.nearest_mm, 1)}
@@ -33,8 +59,8 @@ class Visit:
 
     def text(self) -> str:
         """The line that people read."""
-        line = f"{self.calyx}: {self.verdict}, {self.share:.0%} of its wall seen"
-        return f"{line}; {self.reason}" if self.reason else line
+        why = f" ({self.reason})" if self.reason else ""
+        return f"{self.calyx}: {self.verdict}{why}, {self.share:.0%} of its wall seen"
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,6 +98,5 @@ def run_navigation(
     summary.located, summary.passed_over = navigator.located, navigator.passed_over
     summary.last = navigator.bus.latest()
     if pilots:
-        explorer = pilots[0].explorer
-        summary.explored = Explored(tuple(explorer.visits), explorer.machine.reason, explorer.finished)
+        summary.explored = pilots[0].explorer.account()
     return summary
