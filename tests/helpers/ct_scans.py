@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import trimesh
+from scipy import ndimage
 
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.kidney.grid import distance_to_surface
@@ -14,6 +15,23 @@ def small_ct(kidney: Kidney, side: str = "right", **settings: object) -> tuple[S
     """A scan of 210 x 210 x 110 mm around one kidney, and the truth in it."""
     patient = place_kidney(kidney, side)
     return synthetic_ct([patient], **{"size": (300, 300, 110), **settings}), patient  # type: ignore[arg-type]
+
+
+def with_stone(scan: Scan, center_lps: np.ndarray, size_mm: float, hu: float, blur_mm: float = 0.5) -> Scan:
+    """The same scan with a ball of stone in it, as sharp as the scanner is."""
+    fine = 4
+    reach = (size_mm / 2 + 4 * blur_mm) / scan.spacing_mm
+    at = scan.to_voxel(center_lps)
+    low, high = np.floor(at - reach).astype(int), np.ceil(at + reach).astype(int) + 1
+    axes = [(np.arange(a * fine, b * fine) + 0.5) / fine - 0.5 for a, b in zip(low, high, strict=True)]
+    points = scan.to_lps(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+    inside = (np.linalg.norm(points - center_lps, axis=-1) < size_mm / 2).astype(np.float32)
+    inside = ndimage.gaussian_filter(inside, blur_mm * fine / scan.spacing_mm)
+    share = inside.reshape(*(n for m in inside.shape for n in (m // fine, fine))).mean(axis=(1, 3, 5))
+    voxels = scan.voxels.copy()
+    part = voxels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    part[...] = np.rint(part + share * (hu - part)).astype(part.dtype)
+    return replace(scan, voxels=voxels)
 
 
 def turned(scan: Scan, T_a_lps: np.ndarray) -> Scan:
