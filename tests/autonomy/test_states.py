@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import HELD, later
 
-from ursnav_torch.autonomy import MOVING, TRANSITIONS, Permission, State, StateMachine
+from ursnav_torch.autonomy import MOVING, TRANSITIONS, Permission, State, StateMachine, Wish
 from ursnav_torch.autonomy.states import IllegalTransitionError
 
 
@@ -127,3 +128,11 @@ def test_two_calyces_in_sight_of_a_sure_place_are_no_doubt(explorer, at_root):
     assert explorer.machine.state is State.APPROACHING
     explorer.step(later(seen, 0.04, calyces=both, position_sd_mm=1.5), HELD)
     assert explorer.machine.state is State.LOOKING
+
+
+@pytest.mark.parametrize("state", sorted(set(State) - MOVING))
+def test_no_wish_gets_out_of_a_state_that_does_not_move(explorer, at_root, state, monkeypatch):
+    monkeypatch.setattr(explorer, "_act", lambda seen, doubt: Wish(np.array([0.1, 0.0]), 1.0))
+    monkeypatch.setattr(explorer, "_permit", lambda seen, may: None)
+    explorer.machine.state = state
+    assert explorer.step(at_root, HELD).is_still

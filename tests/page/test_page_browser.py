@@ -5,17 +5,19 @@ import shutil
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 
-from ursnav_torch.devices import RobotLight
+from ursnav_torch.devices import OperatorInput, RobotLight
 from ursnav_torch.kidney import read_calyces
 from ursnav_torch.navigation import Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, web_page
-from ursnav_torch.session import build_rig
+from ursnav_torch.session import HOLD, build_rig
+from ursnav_torch.session.console import Console
 from ursnav_torch.simulation import SimulatedGrblRobot, TwinCamera, TwinPilot, World, make_twin
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import read_views
@@ -317,6 +319,48 @@ def test_the_robot_is_stopped_by_a_key_and_acknowledged_by_a_button(tab, page):
     tab.wait(lambda text: "armed" in text.split(), "robot")
     tab.press("brighter")
     tab.wait(lambda text: not text.startswith("Searching"))
+
+
+class Hands(Console):
+    """A page's hands that no session reads, and all moves that were asked of them."""
+
+    def __init__(self, robot):
+        super().__init__(None, robot, may_drive=True)
+        self.asked = []
+
+    def drive(self, move, *given):
+        self.asked.append(move)
+        super().drive(move, *given)
+
+
+def test_the_dead_man_button_is_held_by_a_button_or_a_key_that_move_nothing(browser, page):
+    with Hands(page.controls.console._robot) as hands:
+        with web_page(page.navigator, replace(page.controls, console=hands, by_itself=True), port=0) as live:
+            tab, told = Tab(browser, live.url), []
+
+            def held():
+                told.append(hands.read())
+                return told[-1].dead_man
+
+            def quiet():
+                before = len(hands.asked)
+                tab.tab.wait_for_timeout(1e3)
+                return len(hands.asked) == before and not held()
+
+            eventually(lambda: tab.tab.keyboard.down("h") or held())
+            tab.tab.keyboard.up("h")
+            eventually(quiet)
+            by_key = len(hands.asked)
+            tab.tab.hover("#hold")
+            tab.tab.mouse.down()
+            eventually(held)
+            eventually(lambda: len(hands.asked) >= by_key + 5)  # for as long as it is held
+            tab.tab.mouse.up()
+            eventually(quiet)
+            assert not tab.errors
+            tab.tab.close()
+        assert by_key and set(hands.asked) == {HOLD}
+        assert {replace(own, stamp=told[0].stamp, dead_man=False) for own in told} == {OperatorInput(told[0].stamp)}
 
 
 def test_nothing_moves_while_the_words_change(browser, page):
