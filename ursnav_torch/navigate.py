@@ -6,7 +6,7 @@ from ursnav_torch._runner import caller_path, runner
 from ursnav_torch.teleop import PATHS
 
 
-@runner("navigate", paths=(*PATHS, "em_to_kidney", "tip"))
+@runner("navigate", paths=(*PATHS, "em_to_kidney", "tip", "known_stones"))
 def main(config: Any) -> None:
     """Instantiate the choices and call `runs.navigate.navigate_vid`."""
     from hydra.utils import instantiate
@@ -14,6 +14,7 @@ def main(config: Any) -> None:
 
     from ursnav_torch.runs.calibrate_tip import read_tip
     from ursnav_torch.runs.navigate import navigate_vid
+    from ursnav_torch.stones import read_known_stones
     from ursnav_torch.tracking.tracker import Tracker
     from ursnav_torch.vid import load_vid
 
@@ -33,6 +34,7 @@ def main(config: Any) -> None:
         config=plain,
         exploration=instantiate(config.exploration),
         autonomy=instantiate(config.autonomy) if config.autonomy else None,
+        known_stones=() if config.known_stones is None else read_known_stones(caller_path(config.known_stones)),
     )
     print(summary)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from stone_views import stone_watch
 
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
@@ -16,7 +17,7 @@ HIDDEN = 2
 @pytest.fixture
 def guide(vid: Vid, phantom_lumen: LumenDistance) -> Guide:
     """Nothing of one calyx's wall is within reach of any view."""
-    guide = Guide(vid, phantom_lumen)
+    guide = Guide(vid, phantom_lumen, stone_watch(vid.kidney, phantom_lumen, vid.camera))
     patches = guide.coverage.patches
     guide.coverage.in_reach = guide.coverage.in_reach & (patches.calyx != HIDDEN)
     return guide

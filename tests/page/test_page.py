@@ -23,15 +23,18 @@ from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import INSPECTED, CalyxCoverage
 from ursnav_torch.features import EdgePoints
+from ursnav_torch.files import write_image
 from ursnav_torch.kidney import read_calyces
 from ursnav_torch.navigation import Guidance, NavigationState, Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, LivePage, PagePictures, check_address, web_page
 from ursnav_torch.page.collected import FLIGHT, Collection, fly, pick_wall
 from ursnav_torch.page.live import state_values, timeline
-from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
+from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces, stone_rows
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.reports.session import session_figures, write_comparison, write_session_report
+from ursnav_torch.reports.stones import StonesTold
 from ursnav_torch.session import Recorder, Replay, SessionControls
+from ursnav_torch.stones import FoundStone, StoneList
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import PlanSettings, read_views
 
@@ -88,6 +91,46 @@ def test_a_path_is_parted_at_jumps_and_edges_are_strokes_along_them():
     assert path_pieces(np.zeros((0, 3)), 1.0) == [] and edge_strokes(None) == []
     upright = EdgePoints(torch.tensor([[10.0, 20.0]]), torch.tensor([np.pi / 2]), torch.ones(1))
     np.testing.assert_allclose(edge_strokes(upright), [[10, 17, 10, 23]], atol=0.1)
+
+
+def found_stones(*states):
+    """Stones in the first calyx and outside of all, by turns; the first is known from the scan."""
+    seen = [
+        FoundStone(i + 1, -(i % 2), np.array([1.0, 2.0, 3.004 + i]), np.eye(3), 6.14, 0.58, 9, 0.99, state, i)
+        for i, state in enumerate(states)
+    ]
+    return StoneList(tuple(seen), ("S1", *[""] * (len(seen) - 1)), (), True)
+
+
+def test_stones_are_plain_rows_with_their_calyx_and_place(phantom):
+    rows = json.loads(json.dumps(stone_rows(found_stones("there", "gone"), phantom)))
+    first = {"number": 1, "calyx": "A", "size": 6.1, "sd": 0.6, "state": "there", "known": "S1", "at": [1.0, 2.0, 3.0]}
+    assert rows[0] == first and (rows[1]["calyx"], rows[1]["state"], rows[1]["known"]) == ("", "gone", "")
+
+
+def test_stones_are_sent_when_they_change(vid, phantom_lumen, monkeypatch):
+    page = LivePage(Navigator(Tracker(vid)), SessionControls(lambda: None), port=0)
+    try:
+        server = Mock()
+        monkeypatch.setattr(page, "server", server)
+        monkeypatch.setattr(page, "_due", lambda *given: True)
+        one, two = (NavigationState(guidance=Guidance(stones=found_stones(*["there"] * n))) for n in (1, 2))
+        for state in (NavigationState(), one, one, two):
+            page._show_ways(state)
+        sent = [c.kwargs["stones"] for c in server.publish.call_args_list if c.args[0] == "stones"]
+        assert [len(stones) for stones in sent] == [1, 2]
+        monkeypatch.undo()
+    finally:
+        page.close()
+
+
+def test_the_report_says_and_shows_the_stones(vid, record, tmp_path):
+    write_image(tmp_path / "stones.png", np.full((20, 40, 3), 200, np.uint8))
+    told = StonesTold(("1 stone in the lower pole: 6.1 ± 0.6 mm in <F>.",), tmp_path / "stones.png")
+    text = write_session_report(vid, Replay(record, speed=0), tmp_path / "report.html", told).read_text("utf-8")
+    assert "<li>1 stone in the lower pole: 6.1 ± 0.6 mm in &lt;F&gt;.</li>" in text and "<h2>Stones</h2>" in text
+    without = write_session_report(vid, Replay(record, speed=0), tmp_path / "none.html").read_text("utf-8")
+    assert "<h2>Stones</h2>" not in without and text.count("<img ") == without.count("<img ") + 1
 
 
 def test_convention_the_virtual_picture_stands_as_the_scopes_does(vid, renderer):

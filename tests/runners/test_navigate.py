@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from ursnav_torch.columns import STONE_COLUMNS
 from ursnav_torch.devices import CommandSample, Frame, Stamp
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.session import Recorder, Replay
+from ursnav_torch.tables import read_csv
 
 
 @pytest.fixture(scope="module")
@@ -22,15 +24,20 @@ def record(vid, renderer, tmp_path_factory):
 
 
 def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path):
-    out = tmp_path / "my session"
+    out, known = tmp_path / "my session", tmp_path / "stones, ä=1.csv"
+    known.write_text("stone,x_mm,y_mm,z_mm,size_mm\nS1,0,0,500,4\n", encoding="utf-8")
     done = run(
         "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "hardware.speed=0",
-        "viewer=none", f"out={out}",
+        "viewer=none", f"out={out}", f"known_stones={known}",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "20 pictures, 20 located" in done.out and "of its wall seen" in done.out and "report.html" in done.out
     text = (out / "report.html").read_text(encoding="utf-8")
     assert text.count("<svg") == 1 == text.count('<svg class="time-line"') and "Doubtful moments" in text
+    assert "No stone seen." in done.out and "<li>No stone seen.</li>" in text
+    assert "Known from the scan, not found yet: S1 of 4.0 mm." in done.out
+    stones = read_csv(out / "stones.csv", STONE_COLUMNS, "stones")
+    assert [(s["known"], s["state"]) for s in stones] == [("S1", "not found")] and (out / "stones.png").exists()
     rows = [r.row for r in Replay(out).results()]
     assert len(rows) == 20 and all({"state", "latency_s", "effort"} <= set(row) for row in rows)
     again = run(

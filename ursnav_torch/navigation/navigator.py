@@ -18,7 +18,6 @@ from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.features import Features
-from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.kidney import NO_CALYX, set_words
 from ursnav_torch.navigation.bus import Newest, StateBus
 from ursnav_torch.navigation.effort import WORDS, Governor
@@ -27,6 +26,7 @@ from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
+from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
@@ -73,6 +73,7 @@ class Navigator:
         exploration: when wall counts as seen, and what the scope can do.
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
+        known_stones: those of a scan.
 
     Attributes:
         shows_edges: whether `NavigationState.edges` are wanted: whoever draws them says so.
@@ -84,18 +85,20 @@ class Navigator:
         exploration: ExplorationSettings | None = None,
         sensor: Sensor | None = None,
         governor: Governor | None = None,
+        known_stones: tuple[KnownStone, ...] = (),
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
         self._whole = tracker.vid.cut_of(None)
-        self.guide = Guide(tracker.vid, tracker.lumen, exploration)
+        settings = exploration or ExplorationSettings()
+        stones = StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings.stones)
+        self.guide = Guide(tracker.vid, tracker.lumen, StoneWatch(stones, known_stones), settings)
         self.shows_edges = False
         self.located, self._pace = 0, Pace()
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)
         self._sensor, self._governor, self._trail = sensor, governor or Governor(), Trail()
         self._jobs: Newest[_Job] = Newest()
         self._seen: Newest[_Seen] = Newest()
-        # The pose where one calyx alone is left, the pose, and the picture's time.
-        self._poses: Newest[tuple[Array | None, Array | None, float, tuple[ForegroundBody, ...]]] = Newest()
+        self._answers: Newest[tuple[Tracked, Frame]] = Newest()
         self._reading: SensorReading | None = None
         self._joints: OdometryReading | None = None
         self._told_coverage = ""
@@ -218,8 +221,7 @@ class Navigator:
                 continue
             self._failing = False
             self._publish(seen, tracked, begun)
-            settled = tracked.T_kidney_camera if tracked.is_settled else None
-            self._poses.put((settled, _believed(tracked), job.frame.stamp.t_mono_s, tracked.bodies))
+            self._answers.put((tracked, job.frame))
             self._finish(job)
 
     def _fail(self, job: _Job, error: Exception) -> None:
@@ -295,12 +297,14 @@ class Navigator:
         """Count what was seen and find the way on, as often as there is time."""
         due, last_s, T = 0.0, None, None
         while not self._end.is_set():
-            found = self._poses.take(0.1)
+            found = self._answers.take(0.1)
             begun = time.monotonic()
             if found is not None:
-                settled, T, t_s, bodies = found
-                if settled is not None and last_s is not None:
-                    self.guide.paint(settled, t_s - last_s, bodies)
+                tracked, frame = found
+                T, t_s = _believed(tracked), frame.stamp.t_mono_s
+                if tracked.T_kidney_camera is not None and tracked.is_settled and last_s is not None:
+                    self.guide.paint(tracked.T_kidney_camera, t_s - last_s, tracked.bodies)
+                self._see_stones(tracked, frame)
                 last_s = t_s
             if (found is not None and begun >= due) or self._choose_again:
                 self._choose_again = False
@@ -314,6 +318,13 @@ class Navigator:
                 and not self.bus.latest().stale
             ):
                 self.bus.update(lambda state: _worded(replace(state, stale=True)))
+
+    def _see_stones(self, tracked: Tracked, frame: Frame) -> None:
+        """Stones of a picture; whatever one does to their map, coverage and the way on stay."""
+        try:
+            self.guide.see_stones(tracked, frame.image, frame.stamp.t_mono_s, frame.stamp.sequence)
+        except Exception:
+            logger.exception("picture %d: its stones could not be placed", frame.stamp.sequence)
 
     def _show(self, T: Array | None) -> None:
         """Publish coverage and route beside the newest pose."""

@@ -10,6 +10,7 @@ from ursnav_torch.exploration.coverage import CalyxCoverage
 from ursnav_torch.exploration.route import Route
 from ursnav_torch.features import EdgePoints
 from ursnav_torch.features.foreground import ForegroundBody
+from ursnav_torch.stones import NO_STONES, StoneList
 from ursnav_torch.tracking.tracker import SEARCHING
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ class Guidance:
         route: the way to the calyx chosen, else to the nearest that was not inspected; None when all were.
         turn: the next move along it, in words.
         chosen: name of the calyx that the operator asked for; blank when navigation proposes one.
+        stones: those that pictures showed so far, beside the known ones.
     """
 
     place: str = ""
@@ -53,6 +55,7 @@ class Guidance:
     route: Route | None = None
     turn: str = ""
     chosen: str = ""
+    stones: StoneList = NO_STONES
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage
 from ursnav_torch.exploration.route import Route
 from ursnav_torch.navigation.state import Guidance
+from ursnav_torch.stones import stone_count
 from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ def status_line(tracking: str, calyx: str, confidence: float, guidance: Guidance
     """
     g = guidance
     parts = [where(tracking, calyx, g.place, confidence), progress(g.coverage), way_on(tracking, g.route, g.turn)]
-    parts.append(remark)
+    parts += [stone_count(g.stones), remark]
     return " ".join(part for part in parts if part)
 
 

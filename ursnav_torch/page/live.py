@@ -14,10 +14,11 @@ from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidenc
 from ursnav_torch.page.commands import Command
 from ursnav_torch.page.overlays import cloud, scope_overlays
 from ursnav_torch.page.pictures import PagePictures, jpeg
-from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces
+from ursnav_torch.page.scene import edge_strokes, kidney_bytes, path_pieces, stone_rows
 from ursnav_torch.page.server import PageServer
 from ursnav_torch.reports.stretches import session_stretches
 from ursnav_torch.session import HOLD, MOVES, Player, SessionControls
+from ursnav_torch.stones import NO_STONES
 
 logger = logging.getLogger(__name__)
 
@@ -61,7 +62,7 @@ class LivePage:
         self.server = PageServer("live.html", self._commands(), resources, (host, port), programs)
         self.url = self.server.url
         self._end, self._done_s = threading.Event(), dict[str, float]()
-        self._version, self._painted = -1, -1
+        self._version, self._painted, self._stones = -1, -1, NO_STONES
         self._shown: Frame | None = None
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
@@ -164,12 +165,15 @@ class LivePage:
             self.server.publish_picture("virtual", jpeg(self._pictures.virtual(state.T_kidney_camera)))
 
     def _show_ways(self, state: NavigationState) -> None:
-        """The wall that was seen, the path and the way on."""
+        """The wall that was seen, stones, the path and the way on."""
         if not self._due("paint", PAINT_S * (SLOWER if state.effort else 1.0)):
             return
         route, seen = state.guidance.route, state.guidance.seen
         ways = path_pieces(state.path_mm, self._scale)
         self.server.publish("ways", path=ways, route=[] if route is None else route.points_mm.round(2).tolist())
+        if state.guidance.stones is not self._stones:
+            self._stones = state.guidance.stones
+            self.server.publish("stones", stones=stone_rows(self._stones, self._vid.kidney))
         if int(seen.sum()) != self._painted:
             self._painted = int(seen.sum())
             self.server.publish("seen", patches=seen.nonzero()[0].tolist())

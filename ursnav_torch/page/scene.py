@@ -1,6 +1,7 @@
 """The kidney as the page draws it: its surface as bytes, ways in pieces, what is where in the picture."""
 
 import json
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from ursnav_torch.features import EdgePoints
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.reports.overview import standpoint
+from ursnav_torch.stones import StoneList, calyx_name
 
 Array = NDArray[np.float64]
 
@@ -48,6 +50,22 @@ def path_pieces(path_mm: Array, scale: float) -> list[list[list[float]]]:
     path = np.round(np.asarray(path_mm, float).reshape(-1, 3)[-PATH_POINTS:], 2)
     jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > JUMP_MM * scale) + 1
     return [piece.tolist() for piece in np.split(path, jumps) if len(piece) > 1]
+
+
+def stone_rows(stones: StoneList, kidney: Kidney) -> list[dict[str, Any]]:
+    """Stones as the page lists and draws them: number, calyx, size ± sd (mm), state, name in the scan, place (mm)."""
+    return [
+        {
+            "number": stone.number,
+            "calyx": calyx_name(stone, kidney),
+            "size": round(stone.size_mm, 1),
+            "sd": round(stone.size_sd_mm, 1),
+            "state": stone.state,
+            "known": known,
+            "at": stone.center_mm.round(2).tolist(),
+        }
+        for stone, known in zip(stones.seen, stones.known, strict=True)
+    ]
 
 
 def edge_strokes(edges: EdgePoints | None) -> list[list[float]]:

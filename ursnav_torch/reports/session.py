@@ -20,6 +20,7 @@ from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
 from ursnav_torch.reports.overview import draw_overview
 from ursnav_torch.reports.session_parts import PUBLISHED_PATHS, files_to_keep, film, time_line, training_summary
+from ursnav_torch.reports.stones import NOTHING_TOLD, StonesTold
 from ursnav_torch.reports.stretches import DOUBT, DOUBT_S, LONGEST_GAP_S, session_stretches
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
@@ -102,18 +103,26 @@ def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
     return found
 
 
-def write_session_report(vid: Vid, replay: Replay, path: Path) -> Path:
+def write_session_report(vid: Vid, replay: Replay, path: Path, stones: StonesTold = NOTHING_TOLD) -> Path:
     """Write the report on a recorded session to an HTML file; returns its path.
 
     Args:
         vid: in whose kidney it was navigated.
         replay: the record, with results.
         path: of the file.
+        stones: what navigation told of them.
     """
+    shown = None if stones.picture is None else inline_picture(_read(stones.picture))
+    told = {"sentences": stones.sentences, "picture": shown}
     with whole_file(path) as partial:
-        text = render_page("session.html.j2", title="Session", **session_values(vid, replay))
+        text = render_page("session.html.j2", title="Session", stones=told, **session_values(vid, replay))
         partial.write_text(text, encoding="utf-8")
     return path
+
+
+def _read(path: Path) -> Picture:
+    """A picture that was just written."""
+    return np.asarray(cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR), np.uint8)
 
 
 def write_comparison(vid: Vid, first: Replay, second: Replay, path: Path) -> Path:

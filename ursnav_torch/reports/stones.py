@@ -1,15 +1,18 @@
 """Stones to be looked at: each one's best picture with its outline, and all of them in the translucent kidney."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features.foreground import ForegroundBody
+from ursnav_torch.files import write_image
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.reports.overview import Overview, draw_overview
-from ursnav_torch.stones import GONE, FoundStone, StoneWatch, calyx_name
+from ursnav_torch.stones import GONE, FoundStone, StoneWatch, calyx_name, stone_sentences, write_stones
 
 Picture = NDArray[np.uint8]
 
@@ -17,6 +20,25 @@ Picture = NDArray[np.uint8]
 THERE_BGR, GONE_BGR = (20, 120, 200), (150, 150, 150)
 _TEXT = cv2.FONT_HERSHEY_SIMPLEX
 _TILE_PX = 240
+
+
+@dataclass(frozen=True, slots=True)
+class StonesTold:
+    """What a session's report says and shows of stones: sentences, and the file that `draw_stones` went to."""
+
+    sentences: tuple[str, ...] = ()
+    picture: Path | None = None
+
+
+NOTHING_TOLD = StonesTold()
+
+
+def write_stone_files(watch: StoneWatch, table: Path, picture: Path) -> list[str]:
+    """Write the stones' table (CSV) and picture (PNG); returns what there is to say of them, a sentence each."""
+    kidney, stones = watch.stones.kidney, watch.found()
+    write_stones(table, stones, kidney)
+    write_image(picture, draw_stones(kidney, watch, stones.seen))
+    return stone_sentences(stones, kidney)
 
 
 def mark_stones(picture: Picture, overview: Overview, stones: Iterable[FoundStone]) -> Picture:

@@ -9,12 +9,15 @@ from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
 from ursnav_torch.reports.session import write_session_report
+from ursnav_torch.reports.stones import StonesTold, write_stone_files
 from ursnav_torch.session import Recorder, Replay, Rig
 from ursnav_torch.simulation import World
+from ursnav_torch.stones import KnownStone, stone_sentences
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import MakeRenderer
 
 REPORT, EXPLORED = "report.html", "explored.json"
+STONES, STONES_PICTURE = "stones.csv", "stones.png"
 
 
 def navigate_vid(
@@ -31,6 +34,7 @@ def navigate_vid(
     config: Mapping[str, Any] | None = None,
     exploration: ExplorationSettings | None = None,
     autonomy: AutonomySettings | None = None,
+    known_stones: tuple[KnownStone, ...] = (),
 ) -> str:
     """Navigate in a VID's kidney until the session ends; record it and report on it where ``out`` says.
 
@@ -45,8 +49,9 @@ def navigate_vid(
         latency_s: time to a pose above which less is done with every picture.
         overwrite: replace what stands in ``out``.
         config: the session's configuration, kept with the record.
-        exploration: when wall counts as seen, and what the scope can do.
+        exploration: when wall counts as seen, what the scope can do, and how stones are told.
         autonomy: how the scope moves by itself while the dead-man button is held; None does without.
+        known_stones: those of a scan: which of them were found, which were not, which are new.
 
     Returns:
         The summary, for people to read.
@@ -58,16 +63,19 @@ def navigate_vid(
     recorder = None if out is None else Recorder(out, config, overwrite)
     sensor = None if em_to_kidney is None else sensor_in_kidney(em_to_kidney, sensor_offset_mm or [0.0, 0.0, 0.0])
     vid = tracker.vid
-    navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s))
+    navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s), known_stones=known_stones)
 
     def world() -> World:
         return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera), vid.lumen)
 
     found = run_navigation(navigator, hardware, world, recorder, duration_s, page, autonomy)
-    summary = found.text()
+    watch = navigator.guide.watch
     if out is None:
-        return summary
+        return "\n".join([found.text(), *stone_sentences(watch.found(), vid.kidney)])
+    sentences = write_stone_files(watch, out / STONES, out / STONES_PICTURE)
+    summary = "\n".join([found.text(), *sentences])
     if found.explored is not None:
         write_json(out / EXPLORED, found.explored.to_dict())
-    report = write_session_report(vid, Replay(out, speed=0), out / REPORT)
+    told = StonesTold(tuple(sentences), out / STONES_PICTURE)
+    report = write_session_report(vid, Replay(out, speed=0), out / REPORT, told)
     return f"{summary}\nrecord in {out}, report in {report}"

@@ -16,14 +16,13 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, write_image, write_json
-from ursnav_torch.kidney import Kidney
 from ursnav_torch.reports.coverage import draw_coverage
-from ursnav_torch.reports.stones import draw_stones
+from ursnav_torch.reports.stones import write_stone_files
 from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
-from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch, compare_stones, stone_sentences, write_stones
+from ursnav_torch.stones import StoneMap, StoneWatch
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
@@ -103,7 +102,8 @@ def _tracked(
     with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
         reach = vid.T_kidney_camera[::_REACH_STRIDE]
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, reach, exploration.coverage)
-        watch = StoneWatch(StoneMap(vid.kidney, tracker.lumen, tracker.working_camera, exploration.stones))
+        stone_map = StoneMap(vid.kidney, tracker.lumen, tracker.working_camera, exploration.stones)
+        watch = StoneWatch(stone_map, besides.known_stones)
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
@@ -124,7 +124,7 @@ def _tracked(
     report = coverage_report(coverage, last, exploration.limits)
     write_json(whole.staged(whole.paths[1]), report | {"pictures": states, "ended": ended})
     write_image(whole.staged(whole.paths[2]), draw_coverage(coverage))
-    stones = _write_stones(watch, vid.kidney, besides.known_stones, *(whole.staged(path) for path in whole.paths[3:5]))
+    stones = "\n".join(write_stone_files(watch, *(whole.staged(path) for path in whole.paths[3:5])))
     summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate) + "\n" + stones
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."
@@ -159,15 +159,6 @@ def camera_source(device: CameraDevice, seconds: float | None) -> Source:
             yield from source.moments()
 
     return replace(source, moments=moments)
-
-
-def _write_stones(watch: StoneWatch, kidney: Kidney, known: tuple[KnownStone, ...], table: Path, picture: Path) -> str:
-    """Write the stones' table and picture; what there is to say of them."""
-    seen = watch.stones.stones()
-    stones = compare_stones(seen, known, kidney.scale)
-    write_stones(table, stones, kidney)
-    write_image(picture, draw_stones(kidney, watch, seen))
-    return "\n".join(stone_sentences(stones, kidney))
 
 
 def _summary(

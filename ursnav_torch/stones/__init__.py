@@ -1,14 +1,15 @@
 """What the operation is about: stones, with places, sizes and calyces, from a track's pictures."""
 
-from ursnav_torch.stones.known import KnownStone, StoneList, compare_stones
+from ursnav_torch.stones.known import NO_STONES, KnownStone, StoneList, compare_stones
 from ursnav_torch.stones.map import GONE, THERE, FoundStone, StoneMap
 from ursnav_torch.stones.settings import StoneMapSettings
 from ursnav_torch.stones.tables import read_known_stones, write_stones
 from ursnav_torch.stones.watch import StoneWatch
-from ursnav_torch.stones.words import calyx_name, residual_fragments, stone_sentences
+from ursnav_torch.stones.words import calyx_name, residual_fragments, stone_count, stone_sentences
 
 __all__ = [
     "GONE",
+    "NO_STONES",
     "THERE",
     "FoundStone",
     "KnownStone",
@@ -20,6 +21,7 @@ __all__ = [
     "compare_stones",
     "read_known_stones",
     "residual_fragments",
+    "stone_count",
     "stone_sentences",
     "write_stones",
 ]

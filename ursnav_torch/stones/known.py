@@ -39,6 +39,10 @@ class StoneList:
     compared: bool
 
 
+#: Before any picture.
+NO_STONES = StoneList((), (), (), False)
+
+
 def compare_stones(seen: Sequence[FoundStone], known: Sequence[KnownStone], scale: float = 1.0) -> StoneList:
     """Match stones that pictures showed to those of a scan, each to one at most, by place and size.
 

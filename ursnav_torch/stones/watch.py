@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features.foreground import ForegroundBody
+from ursnav_torch.stones.known import KnownStone, StoneList, compare_stones
 from ursnav_torch.stones.map import FoundStone, StoneMap
 from ursnav_torch.tracking.tracker import Tracked
 
@@ -16,14 +17,16 @@ class StoneWatch:
 
     Args:
         stones: the map to be fed.
+        known: stones of a scan, which those that are seen are compared with.
 
     Attributes:
         stones: the map.
+        known: see there.
         pictures: by number of a picture that shows some stone best: the picture (H, W) or (H, W, 3), and its bodies.
     """
 
-    def __init__(self, stones: StoneMap) -> None:
-        self.stones = stones
+    def __init__(self, stones: StoneMap, known: tuple[KnownStone, ...] = ()) -> None:
+        self.stones, self.known = stones, known
         self.pictures: dict[int, tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]]] = {}
 
     def see(self, tracked: Tracked, image: NDArray[np.uint8], t_s: float, frame: int) -> None:
@@ -39,6 +42,10 @@ class StoneWatch:
             self.pictures[frame] = (image.copy(), tracked.bodies)
         for number in self.pictures.keys() - wanted:
             del self.pictures[number]
+
+    def found(self) -> StoneList:
+        """All stones that are told by now, beside the known ones."""
+        return compare_stones(self.stones.stones(), self.known, self.stones.kidney.scale)
 
     def picture_of(self, stone: FoundStone) -> tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]] | None:
         """The picture that shows a stone best, and its bodies; None where none was kept."""

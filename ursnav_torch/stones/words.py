@@ -33,6 +33,20 @@ def stone_sentences(stones: StoneList, kidney: Kidney) -> list[str]:
     return lines
 
 
+def stone_count(stones: StoneList) -> str:
+    """How many there are, in one short sentence; blank where none was seen.
+
+    Example:
+        >>> stone_count(StoneList((), (), (), False))
+        ''
+    """
+    gone = sum(s.state == GONE for s in stones.seen)
+    there = len(stones.seen) - gone
+    if not stones.seen:
+        return ""
+    return f"{there or 'No'} stone{'' if there == 1 else 's'} left{f', {gone} gone' if gone else ''}."
+
+
 def residual_fragments(there: Sequence[FoundStone], kidney: Kidney) -> dict[str, int]:
     """How many stones and fragments above `RESIDUAL_MM` each calyx holds, by its name; blank for outside of them."""
     counts: dict[str, int] = {}

@@ -4,6 +4,7 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 
 const TISSUE = [0.88, 0.58, 0.57], SEEN = [0.25, 0.72, 0.4];
 const COLORS = { inspected: 0x63d07a, glimpsed: 0xf2b53c, unseen: 0xff6f64, "out of reach": 0x9aa5ae };
+const STONE = { there: 0xffb52e, gone: 0x9aa5ae };
 const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
 // No picture is drawn wider: without a graphics card the time goes with its pixels.
 const WIDEST_PX = 1200;
@@ -60,7 +61,7 @@ export async function kidneyView(pane, onCalyx) {
   const haze = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ color: CLOUD, size: 1.5 * unit, transparent: true, opacity: 0.35, depthWrite: false, depthTest: false }));
   haze.frustumCulled = false; scene.add(haze);
 
-  const ways = new THREE.Group(), dots = new THREE.Group(); scene.add(ways, dots);
+  const ways = new THREE.Group(), dots = new THREE.Group(), stones = new THREE.Group(); scene.add(ways, dots, stones);
   const line = (points, color, faded) => {
     const geometry = new THREE.BufferGeometry().setFromPoints(points.map(vector));
     if (faded) {
@@ -151,6 +152,11 @@ export async function kidneyView(pane, onCalyx) {
       path.forEach((piece, i) => ways.add(line(piece, 0xd8e4ee, i === path.length - 1)));
       if (route.length > 1) ways.add(line(route, 0x7db7ff, false));
       ask();
+    },
+    stones(list) {
+      empty(stones);
+      for (const { at, size, state } of list) { const s = new THREE.Mesh(new THREE.SphereGeometry(size / 2, 20, 14), new THREE.MeshLambertMaterial({ color: STONE[state], wireframe: state === "gone" })); s.position.copy(vector(at)); stones.add(s); }
+      canvas.dataset.stones = list.length; ask();
     },
     dots(sets) {
       empty(dots);

@@ -8,7 +8,7 @@ import { fill, words } from "./words.js";
 
 const scope = scopeView($("picture"), $("edges"));
 fill();
-put($("status"), words.labels.starting); put($("words"), words.labels.unknown); put($("play"), words.labels.pause);
+put($("status"), words.labels.starting); put($("words"), words.labels.unknown); put($("play"), words.labels.pause); list([]);
 const timeline = timelineView($("timeline"), (t) => send("seek", t));
 let view = null, about = null, cells = [], state = null, seeking = false;
 const pending = {};
@@ -22,12 +22,20 @@ const send = connect({
   virtual(m) { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); },
   ways(m) { later("ways", () => view.ways(m.path, m.route)); },
   seen(m) { later("seen", () => view.seen(m.patches)); },
+  stones(m) { list(m.stones); later("stones", () => view.stones(m.stones)); },
   cloud(m) { later("cloud", () => view.cloud(m.points)); },
   timeline(m) { timeline.show(m.moments, m.duration_s); },
   replay(m) { put($("play"), m.playing ? words.labels.pause : words.labels.play); put($("time"), `${m.at_s.toFixed(1)} s`); if (!seeking) $("at").value = m.at_s; },
   notice(m) { put($("notice"), m.text); },
 });
 kidneyView($("kidney"), (name) => send("choose", name)).then((found) => { view = found; window.kidney = found; Object.values(pending).forEach((action) => action()); if (state) show(state); });
+
+// A line a stone; the list has a size of its own and scrolls, so that it moves nothing.
+function list(stones) {
+  const said = (s) => [`${s.number}`, s.calyx, `${s.size.toFixed(1)} ± ${s.sd.toFixed(1)} mm`, words.stoneStates[s.state], s.known].filter(Boolean).join(" · ");
+  const line = (text, state) => { const e = document.createElement("li"); e.className = state; e.textContent = e.title = text; return e; };
+  $("stones").replaceChildren(...(stones.length ? stones.map((s) => line(said(s), s.state)) : [line(words.labels.noStone, "none")]));
+}
 
 function build(m) {
   cells = m.calyces.map((name, i) => {

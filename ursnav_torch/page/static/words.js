@@ -3,7 +3,7 @@
 export const words = {
   labels: {
     starting: "Starting.", stop: "STOP", confidence: "Confidence", unknown: "no place known", show: "Show", edges: "Edges", stones: "Stones",
-    names: "Names", drawn: "Drawn", cloud: "Cloud", propose: "Propose next", end: "End session", robot: "Robot",
+    stoneList: "Stones found", noStone: "none yet", names: "Names", drawn: "Drawn", cloud: "Cloud", propose: "Propose next", end: "End session", robot: "Robot",
     acknowledge: "Acknowledge", arm: "Arm", pilot: "Pilot flies", hold: "Hold: goes by itself", brighter: "Brighter", darker: "Darker",
     disclaimer: "Research software, not a medical device.", play: "Play", pause: "Pause", before: "Doubt before", next: "Next doubt",
     fly: "Fly", calyx: "calyx", go: "Go there", newName: "new name", rename: "Rename", collect: "Collect", take: "Take this view",
@@ -14,10 +14,11 @@ export const words = {
   hints: {
     scope: "What the scope sees", kidney: "The kidney with the scope in it", virtual: "What the scope should see here", controls: "Controls",
     calyces: "Calyces", step: "One picture on", time: "Time", timeline: "What is known of every moment", moves: "Moves",
-    from: "What a scope sees from here",
+    from: "What a scope sees from here", stoneList: "Stones found: number, calyx, size, there or gone",
   },
   verdicts: { inspected: "inspected", glimpsed: "glimpsed", unseen: "not seen", "out of reach": "out of reach" },
   signs: { inspected: "✓", glimpsed: "◐", unseen: "○", "out of reach": "–" },
+  stoneStates: { there: "there", gone: "gone" },
   bodies: { stone: "stone", instrument: "instrument" },
   lost: "The connection is lost. The robot is not stopped by that; is the program still running?",
   robot: "robot", unheard: "not heard of yet",
