@@ -55,7 +55,10 @@ class Guide:
         self.coverage.add(T_kidney_camera, seconds, bodies)
 
     def see_stones(self, tracked: Tracked, image: NDArray[np.uint8], t_s: float, frame: int) -> None:
-        """Take in the stones of a picture, see `StoneWatch.see`; what is told of them follows within `STONES_S`."""
+        """Take in the stones of a picture (H, W) or (H, W, 3), see `StoneWatch.see`.
+
+        What is told of them follows within `STONES_S`.
+        """
         self.watch.see(tracked, image, t_s, frame)
         if not 0 <= t_s - self._stones_s < STONES_S:  # a replay may go back
             self._stones, self._stones_s = self.watch.found(), t_s
