@@ -19,13 +19,13 @@ from ursnav_torch.segmentation.scans.scan import spread_box
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Without contrast nothing in a kidney is denser than this but stones and calcified vessels; uric acid has 200 to 450
-#: HU (Kambadakone et al., RadioGraphics 30:603, 2010).
+#: Without contrast nothing in a kidney is denser than this but stones and calcified vessels; uric acid is said to have
+#: 200 to 450 HU. A usual figure, chosen on no scans: look at what was found.
 _LEAST_HU = 300.0
 #: Contrast within this of its median may be thicker in one place than in another; and so many standard deviations.
 _CONTRAST_HU, _CONTRAST_SD = 300.0, 5.0
-#: Stones of calcium are denser than this (calcium oxalate above 900 HU: Bailey & Love, Short Practice of Surgery, 27th
-#: edition); where contrast asks for a higher threshold, even they cannot be told.
+#: Stones of calcium are said to be denser than this, likewise; where contrast asks for a higher threshold, even they
+#: cannot be told.
 _CALCIUM_HU = 900.0
 #: A stone lies in the lumen or at most so far outside: contrast does not flow round a stone that fills its calyx.
 _NEAR_MM = 3.0
