@@ -128,3 +128,11 @@ def transform_to_unity(T_kidney_camera: ArrayLike, mm_per_unit: float) -> tuple[
     T = np.asarray(T_kidney_camera, float) @ T_OPENGL_OPENCV
     flip_q, flip_p = np.array([-1.0, -1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
     return T[..., :3, 3] * flip_p / mm_per_unit, quaternion_from_transform(T) * flip_q
+
+
+def hemisphere(count: int) -> Array:
+    """(N, 3) unit vectors, evenly spread over half a sphere (Fibonacci's spiral)."""
+    k = np.arange(count) + 0.5
+    z = k / count
+    angle = np.pi * (1 + 5**0.5) * k
+    return np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array, transform_from
@@ -42,12 +43,7 @@ class Segment:
         s = self.length_mm if along_mm is None else along_mm
         turn = bend * s / self.length_mm
         theta = float(np.hypot(*turn))
-        # Rodrigues' formula for an axis in the x-y plane: this is asked for hundreds of times a picture.
-        ux, uy = (turn / theta).tolist() if theta > 0 else (1.0, 0.0)
-        c, sine = math.cos(theta), math.sin(theta)
-        v = 1.0 - c
-        xx, xy, yy = c + ux * ux * v, ux * uy * v, c + uy * uy * v
-        R = np.array([[xx, xy, uy * sine], [xy, yy, -ux * sine], [-uy * sine, ux * sine, c]])
+        R = Rotation.from_rotvec([*turn, 0.0]).as_matrix()
         sideways = s / 2 * np.sinc(theta / 2 / np.pi) ** 2 * np.array([turn[1], -turn[0]])
         return transform_from(R, [*sideways, s * np.sinc(theta / np.pi)])
 

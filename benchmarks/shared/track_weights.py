@@ -17,6 +17,8 @@ from ursnav_torch.tracking.certainty import REGION_90
 Array = NDArray[np.float64]
 #: Added to errors before their logarithm is taken, mm, and to the spread, as `tracking.certainty` does.
 _SMALL_MM, _FINEST_MM = 0.02, 0.1
+#: A place too far off counts as so many that are missing: 5 % of pictures may be without one, 1.5 % too far off.
+_FAR_COSTS = 5 / 1.5
 #: Regions that may be asked of a place, see `TrackCertaintySettings.largest_mm`.
 _REGIONS_MM = (3.0, 4.0, 6.0, 8.0, 10.0)
 
@@ -39,7 +41,10 @@ def fit_position(report: Report, records: Sequence[Record], save: bool) -> None:
     for within in _REGIONS_MM:
         kept, what = REGION_90 * told <= within, f"90 % region within {within:g} mm"
         report.add(group, what, "%", [100 * float(kept.mean())], n=len(off))
-        wrong = 100 * float((off[kept] > FAR_MM).mean())
+        far = kept & (off > FAR_MM)
+        worth = 100 * float(kept.mean() - _FAR_COSTS * far.mean())
+        report.add(group, f"{what}, less {_FAR_COSTS:.1f} times those too far off", "%", [worth], n=len(off))
+        wrong = 100 * float(far.sum() / max(kept.sum(), 1))
         report.add(group, f"{what}, yet more than 3 mm off", "%", [wrong], n=int(kept.sum()))
     weights = fit_quantile(basis, np.log(off + _SMALL_MM))
     for what, weight in zip(("constant", "score", "log spread"), weights.tolist(), strict=True):

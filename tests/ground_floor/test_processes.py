@@ -1,6 +1,7 @@
 """Work shared with child processes gives what it gives in one, in the same order."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 import ursnav_torch
 from ursnav_torch.errors import InputError, UrsnavError
-from ursnav_torch.processes import busy_children, in_order, spare_children
+from ursnav_torch.processes import _IMPORTED_ONCE, busy_children, in_order, spare_children
 
 
 class Halver:
@@ -61,3 +62,9 @@ def test_pickle_is_in_no_other_file_of_the_package() -> None:
     texts = {p.name: p.read_text("utf-8") for p in Path(ursnav_torch.__file__).parent.rglob("*.py")}
     library = re.compile(r"(import|from) (pickle|dill|joblib|shelve|marshal)|torch\.load\(|allow_pickle=True")
     assert [name for name, text in texts.items() if library.search(text)] == ["processes.py"]
+
+
+@pytest.mark.parametrize("name", _IMPORTED_ONCE)
+def test_what_children_have_imported_is_there(name: str) -> None:
+    """A server of children passes over what it cannot import, and every child would take seconds again."""
+    assert find_spec(name) is not None

@@ -23,7 +23,6 @@ from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import INSPECTED, CalyxCoverage
 from ursnav_torch.features import EdgePoints
-from ursnav_torch.files import write_image
 from ursnav_torch.kidney import read_calyces
 from ursnav_torch.navigation import Guidance, NavigationState, Navigator, run_navigation
 from ursnav_torch.page import ExplorePage, LivePage, PagePictures, check_address, web_page
@@ -125,8 +124,8 @@ def test_stones_are_sent_when_they_change(vid, phantom_lumen, monkeypatch):
 
 
 def test_the_report_says_and_shows_the_stones(vid, record, tmp_path):
-    write_image(tmp_path / "stones.png", np.full((20, 40, 3), 200, np.uint8))
-    told = StonesTold(("1 stone in the lower pole: 6.1 ± 0.6 mm in <F>.",), tmp_path / "stones.png")
+    picture = np.full((20, 40, 3), 200, np.uint8)
+    told = StonesTold(("1 stone in the lower pole: 6.1 ± 0.6 mm in <F>.",), picture)
     text = write_session_report(vid, Replay(record, speed=0), tmp_path / "report.html", told).read_text("utf-8")
     assert "<li>1 stone in the lower pole: 6.1 ± 0.6 mm in &lt;F&gt;.</li>" in text and "<h2>Stones</h2>" in text
     without = write_session_report(vid, Replay(record, speed=0), tmp_path / "none.html").read_text("utf-8")

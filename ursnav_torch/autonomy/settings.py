@@ -11,6 +11,9 @@ ASSIST, EXPLORE = MODES = ("assist", "explore")
 class AutonomySettings:
     """What autonomy does and how carefully; mm at the kidney's scale 1.
 
+    ``turn_per_s`` and ``ahead_mm`` were chosen on one phantom, ``slack_mm``, ``resistance_mm``, ``attempts`` on five,
+    by ``python -m benchmarks.exploring half=choosing pose=true set=NAME=VALUE,...``; the others were set, not varied.
+
     Attributes:
         mode: ``explore`` moves everything; ``assist`` bends, and the person inserts.
         advance_mm_s, retreat_mm_s, withdraw_mm_s: the slider's speeds: in, back along a known way, back in doubt.

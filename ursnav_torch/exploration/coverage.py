@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 UNSEEN, GLIMPSED, INSPECTED, OUT_OF_REACH = "unseen", "glimpsed", "inspected", "out of reach"
+#: Every so many views of a VID are asked what a scope can see at all; neighbors see the same.
+REACH_STRIDE = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.coverage import REACH_STRIDE, Coverage
 from ursnav_torch.exploration.route import Route, route_to
 from ursnav_torch.exploration.settings import ExplorationSettings
 from ursnav_torch.exploration.target import next_target
@@ -19,8 +19,6 @@ from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 
-#: Every so many views of the VID are asked what they can see; neighbors see the same.
-REACH_STRIDE = 4
 #: Places and sizes of stones need not be computed more often than this, s.
 STONES_S = 1.0
 

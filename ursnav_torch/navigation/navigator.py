@@ -26,7 +26,7 @@ from ursnav_torch.navigation.state import Latency, NavigationState
 from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
-from ursnav_torch.stones import KnownStone, StoneMap, StoneWatch
+from ursnav_torch.stones import KnownStone, watch_stones
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
@@ -90,8 +90,8 @@ class Navigator:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
         self._whole = tracker.vid.cut_of(None)
         settings = exploration or ExplorationSettings()
-        stones = StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings.stones)
-        self.guide = Guide(tracker.vid, tracker.lumen, StoneWatch(stones, known_stones), settings)
+        stones = watch_stones(tracker, settings.stones, known_stones)
+        self.guide = Guide(tracker.vid, tracker.lumen, stones, settings)
         self.shows_edges = False
         self.located, self._pace = 0, Pace()
         self.latencies: deque[Latency] = deque(maxlen=REMEMBERED)

@@ -13,7 +13,7 @@ from ursnav_torch.navigation.autopilot import Autopilot, make_autopilot
 from ursnav_torch.navigation.navigator import Navigator
 from ursnav_torch.navigation.state import NavigationState
 from ursnav_torch.session import Event, Recorder, Replay, Result, Rig, SessionControls, Summary, open_session
-from ursnav_torch.simulation import World
+from ursnav_torch.simulation import TwinPilot, World
 from ursnav_torch.tracking.tracker import TRACKING
 
 #: Shows navigation from beginning to end and steers its session; a web page, for example.
@@ -80,6 +80,8 @@ def run_navigation(
     pilots: list[Autopilot] = []
 
     def between(hands: Gamepad, rig: Rig, watched: bool) -> Gamepad:
+        if isinstance(rig.gamepad, TwinPilot):
+            rig.gamepad.hands_over = True
         pilots.append(make_autopilot(navigator, hands, rig, autonomy or AutonomySettings(), quits=not watched))
         return pilots[0]
 

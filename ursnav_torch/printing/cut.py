@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.geometry import hemisphere
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.grid import LumenGrid
 from ursnav_torch.kidney.lumen import OBSERVED_WITHIN_MM
@@ -135,11 +136,3 @@ def _between(bounds: Array, low: float, high: float) -> Array:
     """Middles between neighboring bounds from ``low`` to ``high``: between them the count cannot change."""
     at = np.unique(bounds[(bounds >= low) & (bounds <= high)])
     return (at[:-1] + at[1:]) / 2
-
-
-def hemisphere(count: int) -> Array:
-    """(N, 3) unit vectors, evenly spread over half a sphere (Fibonacci's spiral)."""
-    k = np.arange(count) + 0.5
-    z = k / count
-    angle = np.pi * (1 + 5**0.5) * k
-    return np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])

@@ -112,17 +112,12 @@ def write_session_report(vid: Vid, replay: Replay, path: Path, stones: StonesTol
         path: of the file.
         stones: what navigation told of them.
     """
-    shown = None if stones.picture is None else inline_picture(_read(stones.picture))
+    shown = None if stones.picture is None else inline_picture(stones.picture)
     told = {"sentences": stones.sentences, "picture": shown}
     with whole_file(path) as partial:
         text = render_page("session.html.j2", title="Session", stones=told, **session_values(vid, replay))
         partial.write_text(text, encoding="utf-8")
     return path
-
-
-def _read(path: Path) -> Picture:
-    """A picture that was just written."""
-    return np.asarray(cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR), np.uint8)
 
 
 def write_comparison(vid: Vid, first: Replay, second: Replay, path: Path) -> Path:

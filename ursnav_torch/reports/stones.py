@@ -22,23 +22,28 @@ _TEXT = cv2.FONT_HERSHEY_SIMPLEX
 _TILE_PX = 240
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class StonesTold:
-    """What a session's report says and shows of stones: sentences, and the file that `draw_stones` went to."""
+    """What is said and shown of stones: sentences, and the picture (H, W, 3) of `draw_stones`, None for none."""
 
     sentences: tuple[str, ...] = ()
-    picture: Path | None = None
+    picture: Picture | None = None
+
+    def text(self) -> str:
+        """A sentence a line."""
+        return "\n".join(self.sentences)
 
 
 NOTHING_TOLD = StonesTold()
 
 
-def write_stone_files(watch: StoneWatch, table: Path, picture: Path) -> list[str]:
-    """Write the stones' table (CSV) and picture (PNG); returns what there is to say of them, a sentence each."""
+def write_stone_files(watch: StoneWatch, table: Path, picture: Path) -> StonesTold:
+    """Write the stones' table (CSV) and picture (PNG); returns what there is to say of them and to show."""
     kidney, stones = watch.stones.kidney, watch.found()
+    drawn = draw_stones(kidney, watch, stones.seen)
     write_stones(table, stones, kidney)
-    write_image(picture, draw_stones(kidney, watch, stones.seen))
-    return stone_sentences(stones, kidney)
+    write_image(picture, drawn)
+    return StonesTold(tuple(stone_sentences(stones, kidney)), drawn)
 
 
 def mark_stones(picture: Picture, overview: Overview, stones: Iterable[FoundStone]) -> Picture:

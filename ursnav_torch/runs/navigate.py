@@ -9,7 +9,7 @@ from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
 from ursnav_torch.reports.session import write_session_report
-from ursnav_torch.reports.stones import StonesTold, write_stone_files
+from ursnav_torch.reports.stones import write_stone_files
 from ursnav_torch.session import Recorder, Replay, Rig
 from ursnav_torch.simulation import World
 from ursnav_torch.stones import KnownStone, stone_sentences
@@ -72,10 +72,8 @@ def navigate_vid(
     watch = navigator.guide.watch
     if out is None:
         return "\n".join([found.text(), *stone_sentences(watch.found(), vid.kidney)])
-    sentences = write_stone_files(watch, out / STONES, out / STONES_PICTURE)
-    summary = "\n".join([found.text(), *sentences])
+    stones = write_stone_files(watch, out / STONES, out / STONES_PICTURE)
     if found.explored is not None:
         write_json(out / EXPLORED, found.explored.to_dict())
-    told = StonesTold(tuple(sentences), out / STONES_PICTURE)
-    report = write_session_report(vid, Replay(out, speed=0), out / REPORT, told)
-    return f"{summary}\nrecord in {out}, report in {report}"
+    report = write_session_report(vid, Replay(out, speed=0), out / REPORT, stones)
+    return f"{found.text()}\n{stones.text()}\nrecord in {out}, report in {report}"

@@ -13,7 +13,7 @@ from ursnav_torch.camera import PictureCut
 from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, SourceAtEndError
 from ursnav_torch.errors import InputError
-from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.exploration.coverage import REACH_STRIDE, Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, write_image, write_json
 from ursnav_torch.reports.coverage import draw_coverage
@@ -22,13 +22,10 @@ from ursnav_torch.results import WholeSet, whole_set
 from ursnav_torch.runs.sources import live_source
 from ursnav_torch.runs.track_files import NOTHING_BESIDES, Besides
 from ursnav_torch.runs.track_rows import track_rows
-from ursnav_torch.stones import StoneMap, StoneWatch
+from ursnav_torch.stones import watch_stones
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
-
-#: Every so many views of the VID are asked what they can see; neighbors see the same.
-_REACH_STRIDE = 4
 
 
 def track_source(
@@ -100,10 +97,9 @@ def _tracked(
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
     spent, start, interrupted = list[float](), time.perf_counter(), False
     with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
-        reach = vid.T_kidney_camera[::_REACH_STRIDE]
+        reach = vid.T_kidney_camera[::REACH_STRIDE]
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, reach, exploration.coverage)
-        stone_map = StoneMap(vid.kidney, tracker.lumen, tracker.working_camera, exploration.stones)
-        watch = StoneWatch(stone_map, besides.known_stones)
+        watch = watch_stones(tracker, exploration.stones, besides.known_stones)
         writer = csv.DictWriter(file, TRACK_COLUMNS, lineterminator="\n")
         writer.writeheader()
         follow, ways = (follow_both_ways, 2) if offline else (follow_source, 1)
@@ -124,8 +120,9 @@ def _tracked(
     report = coverage_report(coverage, last, exploration.limits)
     write_json(whole.staged(whole.paths[1]), report | {"pictures": states, "ended": ended})
     write_image(whole.staged(whole.paths[2]), draw_coverage(coverage))
-    stones = "\n".join(write_stone_files(watch, *(whole.staged(path) for path in whole.paths[3:5])))
-    summary = _summary(source, states, ended, coverage, out, interrupted) + "\n" + _speed(spent, rate) + "\n" + stones
+    told = write_stone_files(watch, *(whole.staged(path) for path in whole.paths[3:5]))
+    said = _summary(source, states, ended, coverage, out, interrupted), _speed(spent, rate), told.text()
+    summary = "\n".join(said)
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."
     return summary, source.live or not interrupted

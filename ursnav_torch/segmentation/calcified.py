@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ursnav_torch.geometry import apply
+from ursnav_torch.geometry import apply, hemisphere
 from ursnav_torch.segmentation.load import CtKidney
 from ursnav_torch.segmentation.lumen import TOUCHING
 from ursnav_torch.segmentation.scans import Scan
@@ -160,16 +160,6 @@ def _measured(part: Scan, box: tuple[slice, ...], component: Mask, level: float,
     own = ndimage.map_coordinates(component.astype(np.uint8), grid, order=0) > 0
     counts = np.bincount(labels[own & (labels > 0)])
     points = part.to_lps(np.moveaxis(grid, 0, -1)[labels == int(counts.argmax())])
-    extent = np.ptp(points @ _directions().T, axis=0)
-    size = (
-        float(extent.max()) + _FINE_MM / 2
-    )  # from the middles of the outermost points to where half height is crossed
+    extent = float(np.ptp(points @ hemisphere(_DIRECTIONS).T, axis=0).max())
+    size = extent + _FINE_MM / 2  # from the middles of the outermost points to where half height is crossed
     return CalcifiedStone(apply(T_kidney_lps, points.mean(axis=0)), size, peak)
-
-
-def _directions() -> Array:
-    """(N, 3) unit vectors spread evenly over half a sphere (Fibonacci lattice)."""
-    i = np.arange(_DIRECTIONS) + 0.5
-    z, turn = i / _DIRECTIONS, np.pi * (1 + 5**0.5) * i
-    across = np.sqrt(1 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

@@ -22,9 +22,9 @@ from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.rig import Rig, World
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
 from ursnav_torch.session.source import EventSource
-from ursnav_torch.simulation import TwinPilot
 
-#: Puts something between the operator's hands and the robot, given the hands, the rig, and whether a page watches.
+#: Puts something between the hands and the robot: given the console, the rig with its own gamepad, and whether a page
+#: watches.
 Between = Callable[[Console, Rig, bool], Gamepad]
 
 #: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
@@ -80,7 +80,7 @@ def open_session(
         duration_s: end after so long; 0 for no end but the operator's, or the record's.
         watched: a page watches: a replay stays open at its end, a pilot leaves the scope to the page.
         on_seek: called when a replay goes on from another moment.
-        between: what adds to the operator's hands, such as autonomy; a simulated pilot then hands over.
+        between: what adds to the operator's hands, such as autonomy.
 
     Raises:
         InputError: the record is to be written over itself.
@@ -108,8 +108,6 @@ def _open_rig(
     console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched)
     hands: Gamepad = console
     if between is not None:
-        if isinstance(rig.gamepad, TwinPilot):
-            rig.gamepad.hands_over = True
         hands = between(console, rig, watched)
     rig = stack.enter_context(replace(rig, gamepad=hands))
     live = Live(rig, duration_s)

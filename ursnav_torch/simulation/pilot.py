@@ -9,6 +9,7 @@ import numpy as np
 from ursnav_torch.devices import Gamepad, OperatorInput, Segment, Stamp, Stamper
 from ursnav_torch.geometry import Array
 from ursnav_torch.kidney import Kidney
+from ursnav_torch.kinematics import turn_towards
 from ursnav_torch.simulation.twin import Twin
 
 AHEAD_MM, NEAR_MM = 3.5, 5.0
@@ -92,10 +93,9 @@ class TwinPilot(Gamepad):
             self._entering = False
         target = _ahead(goal.way_mm, T[:3, 3])
         direction = T[:3, :3].T @ (target - T[:3, 3])
-        direction /= max(float(np.linalg.norm(direction)), 1e-9)
-        turn = np.array([-direction[1], direction[0]]) * np.arccos(np.clip(direction[2], -1, 1))
-        bend = _bend_stick(self._segment, self.twin.bend, turn)
-        drive = max(0.0, (float(direction[2]) - 0.75) / 0.25)
+        bend = _bend_stick(self._segment, self.twin.bend, turn_towards(direction))
+        cosine = float(direction[2] / max(np.linalg.norm(direction), 1e-9))
+        drive = max(0.0, (cosine - 0.75) / 0.25)
         return OperatorInput(stamp, bend_x=bend[0], bend_y=bend[1], insertion=drive, dead_man=True)
 
     def _leave(self, stamp: Stamp) -> OperatorInput:

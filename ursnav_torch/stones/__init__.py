@@ -4,7 +4,7 @@ from ursnav_torch.stones.known import NO_STONES, KnownStone, StoneList, compare_
 from ursnav_torch.stones.map import GONE, THERE, FoundStone, StoneMap
 from ursnav_torch.stones.settings import StoneMapSettings
 from ursnav_torch.stones.tables import read_known_stones, write_stones
-from ursnav_torch.stones.watch import StoneWatch
+from ursnav_torch.stones.watch import StoneWatch, watch_stones
 from ursnav_torch.stones.words import calyx_name, residual_fragments, stone_count, stone_sentences
 
 __all__ = [
@@ -23,5 +23,6 @@ __all__ = [
     "residual_fragments",
     "stone_count",
     "stone_sentences",
+    "watch_stones",
     "write_stones",
 ]

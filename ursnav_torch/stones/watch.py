@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.stones.known import KnownStone, StoneList, compare_stones
 from ursnav_torch.stones.map import FoundStone, StoneMap
-from ursnav_torch.tracking.tracker import Tracked
+from ursnav_torch.stones.settings import StoneMapSettings
+from ursnav_torch.tracking.tracker import Tracked, Tracker
 
 #: Of a pose that does not say how far off it may be: mm at scale 1, and radians.
 _SD_MM, _SD_RAD = 0.5, 0.05
@@ -50,3 +51,8 @@ class StoneWatch:
     def picture_of(self, stone: FoundStone) -> tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]] | None:
         """The picture that shows a stone best, and its bodies; None where none was kept."""
         return self.pictures.get(stone.frame)
+
+
+def watch_stones(tracker: Tracker, settings: StoneMapSettings, known: tuple[KnownStone, ...] = ()) -> StoneWatch:
+    """What is to be fed with a tracker's answers; ``known`` are the stones of a scan."""
+    return StoneWatch(StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings), known)

@@ -34,7 +34,7 @@ class TrackCertaintySettings:
         largest_mm: a region that holds the position with 90 % and reaches farther than this from the pose is no place.
             On the choosing flights, where 15 % of the poses are more than 3 mm off, 6 mm keep 81 % of them, 2.6 % of
             these too far off; 3 mm keep 75 %, 2.0 % too far off; 10 mm 85 %, 4.5 % (`benchmarks.flights` fit=true).
-            6 mm are best where one place too far off counts as much as 3.3 that are missing, as 1.5 and 5 % may be.
+            6 mm are worth most where one too far off counts as 3.3 that are missing (the same command's rows).
     """
 
     set_probability: float = 0.95

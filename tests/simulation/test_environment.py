@@ -5,7 +5,7 @@ import pytest
 
 gymnasium = pytest.importorskip("gymnasium")
 
-from ursnav_torch.navigation.environment import ScopeEnv  # noqa: E402
+from ursnav_torch.simulation.environment import ScopeEnv  # noqa: E402
 
 
 @pytest.fixture

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ursnav_torch.devices import JointRates, Limits
-from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, Coverage
+from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, REACH_STRIDE, Coverage
 from ursnav_torch.extras import import_extra
 from ursnav_torch.geometry import look_along
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.simulation import Scope, SteppedRobot, Twin
+from ursnav_torch.simulation.stepped import SteppedRobot
+from ursnav_torch.simulation.twin import Scope, Twin
 from ursnav_torch.vid import Vid
 
 gymnasium = import_extra("gymnasium", "gym", "The twin as an environment")
@@ -28,8 +29,6 @@ Reset = tuple[Observation, dict[str, Any]]
 CYCLES, CYCLE_S = 3, 0.02
 #: What a mm of compression of the shaft costs in a step, against 1 for a calyx's whole wall.
 PRESSED_COSTS = 0.01
-#: Every so many views of the VID are asked what they can see.
-_REACH_STRIDE = 4
 
 
 class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
@@ -52,7 +51,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         self.vid, self._longest_s, self._breathing_mm = vid, seconds, breathing_mm
         self.render_mode = "rgb_array"
         self._renderer = RaycastRenderer(vid.kidney.mesh, vid.camera)
-        self._clean = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::_REACH_STRIDE])
+        self._clean = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::REACH_STRIDE])
         box, count = gymnasium.spaces.Box, len(vid.kidney.calyces)
         reach = np.array([Limits().max_bend_rad] * 2 + [Limits().max_insertion_mm]) + 1.0  # and what a report rounds
         self.action_space = box(-1.0, 1.0, (3,), np.float64)
