@@ -97,6 +97,16 @@ def test_no_function_is_written_twice() -> None:
     assert not twice, f"the same function several times: {twice}"
 
 
+def test_no_two_test_files_have_one_name() -> None:
+    """pytest imports a test file by its bare name, so a second file of that name cannot be collected."""
+    places = defaultdict(list)
+    for path in (ROOT / "tests").rglob("*.py"):
+        places[path.name].append(str(path.relative_to(ROOT)))
+    assert not {
+        name: paths for name, paths in places.items() if len(paths) > 1 and name not in ("__init__.py", "conftest.py")
+    }
+
+
 def test_functions_are_short() -> None:
     long = [
         f"{path.relative_to(PACKAGE)}: {name} has {lines} lines"
