@@ -174,6 +174,14 @@ def fingerprint(path: Path) -> tuple[int, str]:
         return -1, ""
 
 
+def is_file(path: Path) -> bool:
+    """Whether a name that comes from outside is a file; False, too, for one that no file can have (too long)."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Sorts ``view2`` before ``view10``."""
     return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in re.split(r"(\d+)", name) if part]

@@ -287,6 +287,10 @@ def test_a_mask_beside_the_lens_is_carried(tmp_path: Path) -> None:
     (tmp_path / "mask.png").unlink()
     with pytest.raises(InputError, match=r"names the mask 'mask\.png'; there is no such picture"):
         load_camera(tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    (tmp_path / "c.json").write_text(json.dumps(data | {"mask": 300 * "m"}))  # longer than any file's name may be
+    with pytest.raises(InputError, match="names the mask 'mmm"):
+        load_camera(tmp_path / "c.json")
 
 
 STORED = """%YAML:1.0

@@ -113,6 +113,9 @@ def test_refusals(exported: Path, tmp_path: Path, vid: Vid) -> None:
     rewrite(exported, columns, [rows[0], rows[1] | {"image": "gone.png"}])
     with pytest.raises(InputError, match=r"line 3: there is no picture 'gone\.png'"):
         read_views(exported)
+    rewrite(exported, columns, [rows[0], rows[1] | {"image": 300 * "9"}])  # longer than any file's name may be
+    with pytest.raises(InputError, match=r"line 3: there is no picture '999"):
+        read_views(exported)
     with pytest.raises(InputError, match="exists already"):
         export_thesis(vid, exported)
 

@@ -12,6 +12,7 @@ from ursnav_torch.camera.formats import foreign_lens
 from ursnav_torch.camera.lens import KEYS, Camera, mask_text
 from ursnav_torch.camera.sense import check_sense
 from ursnav_torch.errors import InputError
+from ursnav_torch.files import is_file
 from ursnav_torch.records import read_json, to_record
 
 #: No lens has a number beyond this, px or radians; larger ones overflow what is computed from them.
@@ -88,7 +89,7 @@ def _with_mask(data: Any, path: Path) -> Any:
     if not isinstance(mask, str) or mask.startswith("data:"):
         return data
     file = path.parent / mask
-    image = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_GRAYSCALE) if file.is_file() else None
+    image = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_GRAYSCALE) if is_file(file) else None
     if image is None:
         raise InputError(f"The camera in {path} names the mask {mask!r}; there is no such picture beside it ({file}).")
     return {**data, "mask": mask_text(image > 127)}

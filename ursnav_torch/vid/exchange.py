@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import POSE_COLUMNS, UNITY_COLUMNS
 from ursnav_torch.errors import InputError
-from ursnav_torch.files import check_output, whole_folder, write_csv, write_image
+from ursnav_torch.files import check_output, is_file, whole_folder, write_csv, write_image
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.tables import Row, number, read_csv
@@ -152,6 +152,6 @@ def _unity_poses(rows: list[Row], table: Path, mm_per_unit: float | None) -> Arr
 def _picture(folder: Path, row: Row) -> Path:
     name = row["image"]
     for path in (folder / "images" / name, folder / name):
-        if name and path.is_file():
+        if name and is_file(path):
             return path
     raise InputError(f"{row.path}, line {row.line}: there is no picture {name!r} in {folder / 'images'} or {folder}.")
