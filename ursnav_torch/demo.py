@@ -23,7 +23,7 @@ def _pictures(config: Any, out: Path) -> None:
     from ursnav_torch.runs.tables import Steps, print_scores
 
     check_output(out, config.overwrite)
-    print("The whole job on a phantom kidney that comes with the program: under three minutes on two cores.")
+    print("The whole job on a phantom kidney that comes with the program: about two minutes on two cores.")
     steps = Steps(4)
     vid, make_renderer, plan = _vid(config, out, config.overwrite, steps)
     scores = run_demo(
