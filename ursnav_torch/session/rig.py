@@ -20,6 +20,7 @@ from ursnav_torch.devices import (
 from ursnav_torch.errors import DeviceError, InputError
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.simulation import Twin, World
+from ursnav_torch.threads import share_arenas
 
 #: What a rig gives to its devices, by type.
 PROVIDED: tuple[Any, ...] = (Twin, Kidney, Robot)
@@ -43,6 +44,7 @@ class Rig:
         return [device for device in found if device is not None]
 
     def __enter__(self) -> Self:
+        share_arenas()  # before the devices' threads begin
         try:
             for device in self.devices():
                 device.connect()
