@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import fuzz
 from benchmarks.fuzzing.discover import find_readers
+from benchmarks.fuzzing.feed import says_the_same
 from benchmarks.fuzzing.mutate import mutate
 
 
@@ -25,6 +26,11 @@ def test_inputs_are_made_from_their_numbers_alone() -> None:
     made = [mutate(good, [good], random.Random(number)) for number in range(200)]
     assert made == [mutate(good, [good], random.Random(number)) for number in range(200)]
     assert len(set(made)) > 150 and good not in made[:1]
+
+
+def test_json_of_equal_content_was_not_altered() -> None:
+    assert says_the_same(b'{"a": 1, "b": 2}', b'{"b":2,\n"a":1}') and says_the_same(b"\x00", b"\x00")
+    assert not says_the_same(b'{"a": 1}', b'{"a": 2}') and not says_the_same(b"\x00", b"\x01")
 
 
 def test_memory_of_whoever_started_the_fuzzer_is_not_counted() -> None:
