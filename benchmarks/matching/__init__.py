@@ -27,6 +27,7 @@ from ursnav_torch.matching import (
     ShapeContext,
     Sinkhorn,
     pack,
+    shape_distances,
 )
 
 Floats = NDArray[np.float64]
@@ -49,6 +50,8 @@ OURS = {
     "Hungarian, exact best view": Matching(method=Hungarian()),
     "Hungarian, all views": Matching(method=Hungarian(exact=None)),
 }
+#: From lists of points through the library's one call: packing and describing the views included.
+_RAW = "nearest, Hellinger, from raw lists"
 _OPENCV = "OpenCV shape context, iterations "
 
 
@@ -78,12 +81,13 @@ def speed(report: Report, rivals: dict[str, rival_methods.Rival], points: int, v
     calls: dict[str, Callable[[], Any]] = {}
     for name, settings in OURS.items():
         calls[name] = partial(prepared(database, settings).distances, torch.from_numpy(query).float())
+    calls[_RAW] = partial(shape_distances, [query], database)
     pot = _pot(query, database, report)
     calls |= {"POT Sinkhorn, 20 iterations": pot} if pot else {}
     few = database[: max(1, views // (1 if points < 200 else 8))]
     for name, rival in rivals.items():
         calls[name] = partial(rival, query, few)
-    repeats = {name: 5 for name in OURS if "Hungarian, all" not in name and "chi2" not in name}
+    repeats = {name: 5 for name in (*OURS, _RAW) if "Hungarian, all" not in name and "chi2" not in name}
     times = time_interleaved(calls, rounds, repeats=repeats)
     scale = {name: views / len(few) for name in rivals}
     group = f"One query against {views} views, {points} points, descriptor included"
@@ -92,7 +96,7 @@ def speed(report: Report, rivals: dict[str, rival_methods.Rival], points: int, v
         report.add(group, name, "ms", [t * scale.get(name, 1) for t in samples], note)
     for iterations in (3, 1):
         rival_times = times.get(f"{_OPENCV}{iterations}", [])
-        for name in OURS if rival_times else ():
+        for name in (*OURS, _RAW) if rival_times else ():
             ratios = [r * views / len(few) / own for own, r in zip(times[name], rival_times, strict=True)]
             report.add(f"Times faster than OpenCV's {iterations} iterations, {points} points", name, "x", ratios)
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 from matching_shapes import blob, rotated, tangents
+from scipy.spatial.distance import pdist
 
 from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.matching import PointSets, ShapeContext, describe, fix_scale, mean_distances, pack
+from ursnav_torch.matching.point_sets import pack_rows
 
 SETTINGS = ShapeContext(scale=60.0)
 
@@ -16,26 +18,65 @@ def described(*sets: np.ndarray, settings: ShapeContext = SETTINGS, **rows: torc
     return describe(packed.points, packed.mask, settings, **rows)
 
 
-def by_hand(points: np.ndarray, settings: ShapeContext, reference: np.ndarray | None = None) -> np.ndarray:
+def by_hand(
+    points: np.ndarray, settings: ShapeContext, reference: np.ndarray | None = None, weights: np.ndarray | None = None
+) -> np.ndarray:
     """One loop a pair, written from the definition."""
+    weights = np.ones(len(points)) if weights is None else weights
     edges = settings.radii().numpy()
     phase = 0.25 if reference is None else 0.5
     out = np.zeros((len(points), settings.radial_bins, settings.angular_bins))
     for i, p in enumerate(points):
-        for q in points:
+        for q, weight in zip(points, weights, strict=True):
             r = np.hypot(*(q - p)) / settings.scale
             if r < 1e-5 or r >= edges[-1]:
                 continue
             angle = math.atan2(q[1] - p[1], q[0] - p[0]) - (0 if reference is None else reference[i])
             sector = math.floor(angle / math.tau * settings.angular_bins + phase) % settings.angular_bins
-            out[i, int(np.searchsorted(edges, r, side="right")), sector] += 1
+            out[i, int(np.searchsorted(edges, r, side="right")), sector] += weight
     total = out.sum((1, 2), keepdims=True)
-    return np.where(total > 0, out / np.maximum(total, 1), 1 / settings.size).reshape(len(points), -1)
+    return np.where(total > 0, out / np.where(total > 0, total, 1), 1 / settings.size).reshape(len(points), -1)
 
 
 def test_agrees_with_the_definition() -> None:
     points = blob(0).astype(np.float32)
     np.testing.assert_allclose(described(points)[0].numpy(), by_hand(points, SETTINGS), atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 30, 31])
+@pytest.mark.parametrize("sectors", [1, 7, 12])
+@pytest.mark.parametrize("frame", ["absolute", "tangent"])
+def test_every_pair_counts_once_at_either_end(count: int, sectors: int, frame: str) -> None:
+    """Pairs are computed once for both of their points: odd and even numbers of points, weights, padding, doubles."""
+    rng = np.random.default_rng(count)
+    settings = ShapeContext(4, sectors, scale=60.0, frame=frame)  # type: ignore[arg-type]
+    sets = [rng.uniform(0, 90, (n, 2)).astype(np.float32) for n in (count, 17)]
+    if count > 2:
+        sets[0][2] = sets[0][0]  # at one place: they do not see each other
+    weights, along = ([rng.uniform(0.2, 3, len(s)).astype(np.float32) for s in sets] for _ in range(2))
+    packed = pack(sets)
+    rows = {"weights": pack_rows(weights, packed), "tangents": pack_rows(along, packed)}
+    found = describe(packed.points, packed.mask, settings, **rows)
+    for row, points, weight, angle in zip(found, sets, weights, along, strict=True):
+        wanted = by_hand(points, settings, angle if frame == "tangent" else None, weight)
+        np.testing.assert_allclose(row[: len(points)].numpy(), wanted, atol=1e-6)
+        assert row[len(points) :].abs().sum() == 0
+
+
+def test_mean_distances_are_those_of_all_pairs() -> None:
+    sets = [blob(3, n).astype(np.float32) for n in (2, 9, 10, 60)]
+    packed = pack(sets)
+    wanted = [pdist(points.astype(float)).mean() for points in sets]
+    np.testing.assert_allclose(mean_distances(packed.points, packed.mask).numpy(), wanted, rtol=1e-5)
+    assert mean_distances(packed.points, packed.mask.logical_and(torch.tensor(False))).isnan().all()
+
+
+def test_many_sets_are_as_each_alone() -> None:
+    """More sets than fit the cache at once."""
+    sets = torch.from_numpy(np.stack([blob(seed, 100) for seed in range(23)])).float()
+    mask = torch.ones(sets.shape[:2], dtype=torch.bool)
+    alone = torch.cat([describe(s[None], m[None], SETTINGS) for s, m in zip(sets, mask, strict=True)])
+    torch.testing.assert_close(describe(sets, mask, SETTINGS), alone)
 
 
 def test_tangent_frame_agrees_with_the_definition() -> None:

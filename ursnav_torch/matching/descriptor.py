@@ -11,10 +11,19 @@ import torch
 from torch import Tensor
 
 from ursnav_torch.errors import InputError, ShapeError
+from ursnav_torch.matching.neighbors import (
+    PairBins,
+    ahead,
+    differences,
+    padded_far,
+    repeated,
+    sets_at_a_time,
+    slices,
+)
 from ursnav_torch.threads import map_chunks
 
-#: Pairs of points handled at once, so that the temporaries stay in the cache.
-_PAIRS_A_CHUNK = 400_000
+#: What one thread takes at once, in pieces whose pairs fit the cache: its memory is made once for all of them.
+_PARTS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +76,21 @@ class ShapeContext:
 
 def mean_distances(points: Tensor, mask: Tensor) -> Tensor:
     """Mean distance between two points of each set (B,) in px; nan for sets with fewer than two points."""
-    out = torch.empty(len(points))
+    out, width, whole = torch.empty(len(points)), points.shape[1], bool(mask.all())
 
     def work(part: slice) -> None:
-        p, m = points[part], mask[part].float()
-        total = (torch.cdist(p, p) * m[:, :, None] * m[:, None, :]).sum((1, 2))
-        count = m.sum(1)
-        out[part] = total / (count * (count - 1))
+        for some in slices(part, width):
+            x, y = differences(points[some].float())
+            distance = x.mul_(x).addcmul_(y, y).sqrt_()
+            if repeated(width):
+                distance[:, -1] /= 2
+            counts = mask[some].float()
+            if not whole:
+                distance.mul_(ahead(counts)).mul_(counts[:, None])
+            count = counts.sum(1)
+            out[some] = distance.sum((1, 2)) * 2 / (count * (count - 1))
 
-    pairs = points.shape[1] ** 2
-    map_chunks(work, len(points), max(1, _PAIRS_A_CHUNK // max(pairs, 1)), float(10 * len(points) * pairs))
+    map_chunks(work, len(points), _PARTS * sets_at_a_time(width), float(10 * len(points) * width**2))
     return out
 
 
@@ -117,17 +131,26 @@ def describe(
         InputError: the tangent frame without tangents, or the scale is still "database".
     """
     _check(points, mask, settings, tangents, weights)
+    width = points.shape[1]
     out = torch.empty(*mask.shape, settings.size)
-    scale = _scales(settings, points, mask)
+    unit = padded_far((points / _scales(settings, points, mask)[:, None, None]).float(), mask)
+    phase = _phase(settings, tangents)
+    counts = None if weights is None else weights.float()
 
     def work(part: slice) -> None:
-        along = None if tangents is None else tangents[part]
-        counts = None if weights is None else weights[part]
-        out[part] = _histograms(points[part], mask[part], settings, scale[part], along, counts)
+        bins = PairBins(part.stop - part.start, width, settings.radii(), settings.angular_bins)
+        for some in slices(part, width):
+            turned = phase[some] if isinstance(phase, Tensor) else phase
+            own = bins.count(unit[some], turned, None if counts is None else counts[some])
+            out[some] = own.flatten(2)
 
-    pairs = points.shape[1] ** 2
-    map_chunks(work, len(points), max(1, _PAIRS_A_CHUNK // max(pairs, 1)), float(100 * len(points) * pairs))
-    return out
+    map_chunks(work, len(points), _PARTS * sets_at_a_time(width), float(100 * len(points) * width**2))
+    sums = out.sum(2, keepdim=True)
+    out.div_(sums.clamp_min(1e-30))
+    alone = sums[..., 0] <= 0
+    if bool(alone.any()):
+        out[alone] = 1 / settings.size
+    return out if bool(mask.all()) else out.mul_(mask[:, :, None])
 
 
 def _check(
@@ -154,43 +177,8 @@ def _scales(settings: ShapeContext, points: Tensor, mask: Tensor) -> Tensor:
     return torch.where(torch.isfinite(scales) & (scales > 0), scales, torch.ones(()))
 
 
-def _histograms(
-    points: Tensor, mask: Tensor, settings: ShapeContext, scale: Tensor, tangents: Tensor | None, weights: Tensor | None
-) -> Tensor:
-    """`describe` for one chunk; `scale` is (B,) px."""
-    b, p = mask.shape
-    unit = (points / scale[:, None, None]).float()
-    dx = unit[:, None, :, 0] - unit[:, :, None, 0]
-    dy = unit[:, None, :, 1] - unit[:, :, None, 1]
-    squared = dx.square().addcmul_(dy, dy)
-    squared.masked_fill_(squared < 1e-10, math.inf).masked_fill_(~mask[:, None, :], math.inf)
-    wide = (settings.radial_bins + 1) * settings.angular_bins
-    index = _sectors(torch.atan2(dy, dx), settings, tangents)
-    index.add_(_rings(squared, settings), alpha=settings.angular_bins)
-    index.add_(torch.arange(b * p).mul_(wide).view(b, p, 1))
-    counts = None if weights is None else weights.float()[:, None, :].expand(b, p, p).reshape(-1)
-    total = torch.bincount(index.view(-1), counts, minlength=b * p * wide).view(b, p, wide)
-    histograms = total[:, :, : settings.size].float()
-    sums = histograms.sum(2, keepdim=True)
-    histograms = torch.where(sums > 0, histograms / sums.clamp_min(1e-30), torch.full((), 1 / settings.size))
-    return histograms * mask[:, :, None]
-
-
-def _rings(squared: Tensor, settings: ShapeContext) -> Tensor:
-    """Ring 0..radial_bins (outside) of squared distances (B, P, P) in units of `scale`, as uint8.
-
-    One comparison a ring takes a fifth of the time of a search among them.
-    """
-    ring = torch.zeros(squared.shape, dtype=torch.uint8)
-    for edge in settings.radii().square().float().tolist():
-        ring.add_(squared >= edge)
-    return ring
-
-
-def _sectors(angle: Tensor, settings: ShapeContext, tangents: Tensor | None) -> Tensor:
-    """Sector 0..angular_bins-1 of directions (B, P, P) in radians, as int64."""
-    phase = 0.25
-    if settings.frame == "tangent" and tangents is not None:
-        angle, phase = angle - tangents[:, :, None], 0.5
-    turns = angle.mul_(settings.angular_bins / math.tau).add_(phase).floor_()
-    return turns.remainder_(settings.angular_bins).long()
+def _phase(settings: ShapeContext, tangents: Tensor | None) -> Tensor | float:
+    """Sectors, (B, P) or the same for all, by which directions are turned before they are rounded down to one."""
+    if settings.frame == "absolute" or tangents is None:
+        return 0.25
+    return 0.5 - tangents.float() * (settings.angular_bins / math.tau)

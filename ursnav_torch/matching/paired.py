@@ -55,7 +55,7 @@ class PairedViews:
             return
         some = self._views.at(new)
         histograms = describe(some.points, some.mask, self.descriptor, some.direction, some.weights)
-        features = pair_cost.view_features(histograms, some.direction, some.mask, self.cost).transpose(1, 2)
+        features = pair_cost.view_features(histograms, some.direction, some.mask, self.cost)
         if self._features is None:
             with torch.inference_mode(False):  # they outlive the mode they are made in
                 self._features = torch.empty(len(self._described), *features.shape[1:])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from ursnav_torch.errors import InputError, ShapeError
@@ -49,36 +49,40 @@ class ViewPoints:
 
     def center(self) -> Tensor:
         """The mean (2,) of all points, zero where there are none."""
-        return self.points[self.mask].mean(0) if bool(self.mask.any()) else torch.zeros(2)
-
-
-def as_points(points: ArrayLike | Tensor, name: str = "points") -> Tensor:
-    """One point set (N, 2) as a float32 tensor; an empty list is an empty set.
-
-    Raises:
-        ShapeError: not (N, 2).
-        InputError: a coordinate is not finite.
-    """
-    tensor = torch.as_tensor(points if isinstance(points, Tensor) else np.asarray(points, np.float32))
-    if tensor.numel() == 0:
-        return torch.zeros(0, 2)
-    if tensor.ndim != 2 or tensor.shape[1] != 2:
-        raise ShapeError(f"{name} must have shape (N, 2), x and y in px, got {tuple(tensor.shape)}.")
-    if not torch.isfinite(tensor).all():
-        raise InputError(f"{name} holds a coordinate that is not finite; drop such points first.")
-    return tensor.to(torch.float32)
+        return (self.points * self.mask[..., None]).sum((0, 1)) / self.mask.sum().clamp_min(1)
 
 
 def pack(sets: Sequence[ArrayLike | Tensor]) -> PointSets:
-    """Pad B point sets (N_b, 2) to `PointSets` (B, max N_b, 2); at least one column wide."""
-    tensors = [as_points(s, f"point set {i}") for i, s in enumerate(sets)]
-    width = max((len(t) for t in tensors), default=0)
-    points = torch.zeros(len(tensors), max(width, 1), 2)
-    mask = torch.zeros(len(tensors), max(width, 1), dtype=torch.bool)
-    for i, t in enumerate(tensors):
-        points[i, : len(t)] = t
-        mask[i, : len(t)] = True
+    """Pad B point sets (N_b, 2) to `PointSets` (B, max N_b, 2); at least one column wide.
+
+    Raises:
+        ShapeError: a set that is not (N, 2); an empty list is an empty set.
+        InputError: a coordinate is not finite.
+    """
+    rows = [_as_rows(s, i) for i, s in enumerate(sets)]
+    counts = torch.tensor([len(r) for r in rows], dtype=torch.long)
+    width = max(int(counts.max()) if rows else 0, 1)
+    every = np.concatenate(rows) if rows else np.zeros((0, 2), np.float32)
+    if not np.isfinite(every).all():
+        i = next(i for i, r in enumerate(rows) if not np.isfinite(r).all())
+        raise InputError(f"point set {i} holds a coordinate that is not finite; drop such points first.")
+    if bool((counts == width).all()):
+        mask = torch.ones(len(rows), width, dtype=torch.bool)
+        return PointSets(torch.from_numpy(every).view(len(rows), width, 2), mask)
+    mask = torch.arange(width) < counts[:, None]
+    points = torch.zeros(len(rows), width, 2)
+    points[mask] = torch.from_numpy(every)
     return PointSets(points, mask)
+
+
+def _as_rows(points: ArrayLike | Tensor, number: int) -> NDArray[np.float32]:
+    """One point set (N, 2); an empty list is an empty set."""
+    rows = np.asarray(points.detach().numpy() if isinstance(points, Tensor) else points, np.float32)
+    if rows.size == 0:
+        return np.zeros((0, 2), np.float32)
+    if rows.ndim != 2 or rows.shape[1] != 2:
+        raise ShapeError(f"point set {number} must have shape (N, 2), x and y in px, got {tuple(rows.shape)}.")
+    return rows
 
 
 def pack_rows(rows: Sequence[ArrayLike | Tensor], like: PointSets) -> Tensor:

@@ -35,7 +35,8 @@ class PreparedViews:
     def __init__(self, views: ViewPoints, descriptor: ShapeContext, cost: PairCost) -> None:
         histograms = describe(views.points, views.mask, descriptor, views.direction, views.weights)
         self.descriptor, self.cost, self.mask = descriptor, cost, views.mask
-        self._features = _columns(pair_cost.view_features(histograms, views.direction, views.mask, cost))
+        along = None if views.direction is None else views.direction.flatten()
+        self._features = pair_cost.view_features(histograms.flatten(0, 1), along, views.mask.flatten(), cost)
         self._histograms = _columns(histograms) if cost.compare == "chi2" else None
         self._origin = views.center()
         position = pair_cost.position_features(views.points - self._origin, cost)
