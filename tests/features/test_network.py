@@ -105,6 +105,23 @@ def test_a_stone_is_not_wall(vid: Vid, phantom: Kidney) -> None:
     assert len(on) >= 3 and np.median(on) < 0.5 and np.median(off) > 0.85
 
 
+def test_what_lies_before_the_wall_has_no_edges(vid: Vid, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stone over the picture's left part, as the network tells it: no edge point is left there."""
+    extractor, image = DefaultExtractor(DefaultSettings(), vid.camera), vid.read_picture(0)
+    assert extractor._network is not None
+    read, before = extractor._network.read(image)
+    stone = torch.zeros_like(before)
+    middle = before.shape[2] // 2
+    stone[0, :, :middle] = 1.0
+
+    def found(told: torch.Tensor) -> torch.Tensor:
+        monkeypatch.setattr(extractor._network, "read", lambda _: (read, told))
+        return extractor.extract(image).edges.points[:, 0] * before.shape[2] / vid.camera.width
+
+    free = found(torch.zeros_like(before))
+    assert float(free.min()) < middle - 2 and float(found(stone).min()) > middle - 2
+
+
 def test_hues_are_those_of_the_picture_left_out_whatever_the_light() -> None:
     picture = torch.full((1, 3, 8, 8), 4.0)
     picture[0, 2] += 0.7  # a red wall

@@ -112,8 +112,17 @@ def test_a_picture_is_proven_when_it_is_read(vid: Vid, tmp_path: Path) -> None:
         list(loaded.pictures())
 
 
+def test_the_pictures_checksums_are_under_the_vids_own(folder: Path) -> None:
+    path = folder / "images.sha256"
+    (one, first), (other, second), *rest = [line.split("  ") for line in path.read_text(encoding="utf-8").splitlines()]
+    exchanged = [(other, first), (one, second), *rest]  # every picture is named, in order
+    path.write_text("".join(f"{digest}  {name}\n" for digest, name in exchanged), encoding="utf-8")
+    with pytest.raises(InputError, match=r"images\.sha256 was changed after the VID was built"):
+        load_vid(folder)
+
+
 @pytest.mark.parametrize("change", ["exchanged", "fewer", "gone"])
-def test_the_pictures_checksums_are_under_the_vids_own(folder: Path, change: str) -> None:
+def test_every_picture_is_under_a_checksum(folder: Path, change: str) -> None:
     path = folder / "images.sha256"
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     path.write_text("".join(lines[1:] if change == "fewer" else [lines[1], lines[0], *lines[2:]]), encoding="utf-8")
