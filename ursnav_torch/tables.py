@@ -16,8 +16,11 @@ from ursnav_torch.inputs import MOST_TEXT_BYTES, read_regular
 Array = NDArray[np.float64]
 
 #: What counts as a number: ASCII digits with a decimal point; Python's own float() takes ``1_5`` and ``١٢`` besides.
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# One way to read each digit alone: where there are two, a cell of ten thousand digits takes seconds to be refused.
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?", re.ASCII)
+#: Characters of a wrong cell that an error's sentence repeats.
+_MOST_SAID = 60
 
 
 class Row(dict[str, str]):
@@ -58,7 +61,8 @@ def number(row: Row, column: str) -> float:
     if math.isfinite(value):
         return value
     hint = "; write a decimal point, not a comma" if _DECIMAL_COMMA.fullmatch(text) else ""
-    raise InputError(f"{row.path}, line {row.line}: {column} is {row[column]!r}, expected a finite number{hint}.")
+    said = row[column] if len(row[column]) <= _MOST_SAID else f"{row[column][:_MOST_SAID]}..."
+    raise InputError(f"{row.path}, line {row.line}: {column} is {said!r}, expected a finite number{hint}.")
 
 
 def whole_number(row: Row, column: str) -> int:

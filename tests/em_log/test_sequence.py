@@ -55,6 +55,12 @@ def test_of_several_tools_one_is_named(tmp_path: Path) -> None:
         read_em_samples(path, EmFormat(tool="Scope"))
 
 
+def test_a_line_of_endless_blanks_is_read_at_once(tmp_path: Path) -> None:
+    """Blanks that could be read in two ways would take time with their square or worse: here, for hours."""
+    remark = field(0, "Remark", 300_000 * " " + "a" + 300_000 * " " + "b")
+    assert read_em_samples(sequence(tmp_path / "log.mha", more=remark)).seen.all()
+
+
 def test_what_is_no_sequence_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scan.mha").write_bytes(HEAD.encode() + b"ElementDataFile = LOCAL\n" + bytes(48))
     with pytest.raises(InputError, match="no sequence that Plus recorded"):

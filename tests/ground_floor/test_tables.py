@@ -78,6 +78,12 @@ def test_a_decimal_comma_is_named_as_such(text: str) -> None:
         number(row(text), "x_mm")
 
 
+def test_a_cell_of_endless_digits_is_refused_at_once_and_not_repeated() -> None:
+    """Digits that could be read in two ways would take time with their square: here, for hours."""
+    with pytest.raises(InputError, match=r"x_mm is '9{60}\.\.\.', expected a finite number"):
+        number(row(1_000_000 * "9" + "x"), "x_mm")
+
+
 def test_plain_numbers_are_read() -> None:
     texts = ["1", " -1.5e1 ", "+.5", "3.", "1E-3", "007"]
     assert [number(row(t), "x_mm") for t in texts] == [1, -15, 0.5, 3, 0.001, 7]

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 SEQUENCE_SUFFIXES = (".mha", ".mhd")
 #: A header of an hour at 60 frames a second has 100 MB.
 _MOST_BYTES = 256 << 20
-_FIELD = re.compile(r"Seq_Frame(\d+)_(\w+?)\s*=\s*(.*?)\s*$")
+_FIELD = re.compile(r"Seq_Frame(\d+)_(\w+)\s*=(.*)", re.DOTALL)
 _TRANSFORM, _STATUS = "Transform", "TransformStatus"
 
 
@@ -60,7 +60,7 @@ def _frames(path: Path) -> list[dict[str, str]]:
                 if text.startswith("ElementDataFile"):
                     break
                 if (match := _FIELD.match(text)) is not None:
-                    found.setdefault(int(match[1][:9]), {})[match[2]] = match[3]
+                    found.setdefault(int(match[1][:9]), {})[match[2]] = match[3].strip()
     except OSError as error:
         raise InputError(f"The EM file {path} cannot be read: {error.strerror}.") from None
     if not found:
