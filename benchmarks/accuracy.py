@@ -1,7 +1,9 @@
 """Which calyx, where, how sure, on pictures the project did not draw: ``python -m benchmarks.accuracy data=DIR``.
 
-Arguments, each ``key=value``: ``data=DIR`` (or URSNAV_DATA) ``work=DIR`` (keeps the VIDs) ``out=FILE.json``. Every
-row is one choice of features and matching on the same pictures, one at a time; only the first is refined.
+Arguments, each ``key=value``: ``data=DIR`` (or URSNAV_DATA) ``work=DIR`` (keeps the VIDs) ``out=FILE.json``
+``rivals=true`` ``cues=false`` (true: nothing but who decides, each cue left out in turn and shape contexts alone)
+``pictures=0`` (of each kind and kidney, evenly; 0 takes all). Every row is one choice of features and matching on the
+same pictures, one at a time; only the first is refined.
 
 Notes on what lost. Share of 102 simulated pictures each of kind (``thesis_simulation``, ``thesis_phantom``,
 ``in_vivo_like``) right in VIDs of two phantoms, 100 views a calyx, unrefined, as tried one after another:
@@ -24,6 +26,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,15 +36,16 @@ from benchmarks.shared.kidneys import STYLES, Still, data_folder, kidneys_with, 
 from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.shared.statistics import auroc, calibration_error, wilson
 from ursnav_torch.errors import FeatureError, MissingExtraError
-from ursnav_torch.features import DefaultSettings, ThesisSettings, read_image
+from ursnav_torch.features import DefaultSettings, Features, ThesisSettings, read_image
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.localization import LocalizationSettings, Localizer
 from ursnav_torch.matching import Matching, OpenCV, PairCost
 from ursnav_torch.rendering import FlatLight
-from ursnav_torch.search import SearchSettings, default_matching
+from ursnav_torch.search import Ranking, SearchSettings, ViewSearch, default_matching
+from ursnav_torch.search.settings import best_first
 from ursnav_torch.vid import PlanSettings, Vid
 
-DEFAULTS = {"data": "", "work": "", "out": "", "rivals": True}
+DEFAULTS = {"data": "", "work": "", "out": "", "rivals": True, "cues": False, "pictures": 0}
 #: Kinds of pictures that count as well where every kidney has them.
 MORE_STYLES = ("tissue",)
 
@@ -68,11 +72,23 @@ class Answer:
 Method = Callable[[Vid], Callable[[NDArray[np.uint8]], tuple[str, NDArray[np.float64], float, bool, float]]]
 
 
+class ShapesAlone(ViewSearch):
+    """Shape distances alone rank all views, each at the roll and tilt that the scan found for it."""
+
+    def rank(self, features: Features) -> Ranking:
+        """See `ViewSearch.rank`."""
+        found = self.with_shapes(features, self.at_tilts(features, np.arange(len(self))))
+        assert found.assignment is not None
+        alone = replace(found, score=1 - found.assignment.distance.numpy().astype(float), best_score=1.0)
+        return alone.at(best_first(alone.score, self.settings.finalists))
+
+
 def ours(
     search: SearchSettings | None = None,
     matching: Matching | None = None,
     refine: bool = False,
     learned: float = DefaultSettings().learned,
+    shapes_alone: bool = False,
 ) -> Method:
     """A choice of our own settings."""
 
@@ -80,6 +96,8 @@ def ours(
         if isinstance(vid.settings, DefaultSettings):
             vid = replace(vid, settings=replace(vid.settings, learned=learned))
         localizer = Localizer(vid, matching, LocalizationSettings(refine=refine), search)
+        if shapes_alone:
+            localizer.search = ShapesAlone(vid, search, matching)
 
         def locate(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.float64], float, bool, float]:
             found = localizer.locate(image)
@@ -121,13 +139,21 @@ def keypoints(detector: cv2.Feature2D, norm: int) -> Method:
 
 def parts_left_out() -> dict[str, Method]:
     """The default, and the default with each part left out in turn."""
-    s, m = SearchSettings(), default_matching()
     return {
         "default, refined": ours(refine=True),
-        "default": ours(),
+        **cues_left_out(),
         "photometric relief alone, refined": ours(refine=True, learned=0.0),
         "photometric relief alone": ours(learned=0.0),
         "learned relief alone": ours(learned=1.0),
+    }
+
+
+def cues_left_out() -> dict[str, Method]:
+    """Who decides: the default, unrefined, with each cue left out in turn, and cues alone."""
+    s, m = SearchSettings(), default_matching()
+    contexts = replace(m, cost=PairCost())
+    return {
+        "default": ours(),
         "edges and shape alone": ours(replace(s, relief_weight=0.0)),
         "without edge-direction maps": ours(replace(s, direction_weight=0.0)),
         "without shape stage": ours(replace(s, shape_weight=0.0)),
@@ -136,9 +162,11 @@ def parts_left_out() -> dict[str, Method]:
         "shape stage without direction": ours(s, replace(m, cost=replace(m.cost, direction_weight=0.0))),
         "without tilts": ours(replace(s, tilt_rounds=0)),
         "relief alone": ours(replace(s, direction_weight=0.0, shape_weight=0.0)),
+        "shapes alone, at the search's roll and tilt": ours(s, m, shapes_alone=True),
+        "shape contexts alone, at the search's roll and tilt": ours(s, contexts, shapes_alone=True),
         "shape contexts alone, rolls to 30°": ours(
             replace(s, relief_weight=0.0, direction_weight=0.0),
-            replace(m, cost=PairCost(), roll_deg=(-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0)),
+            replace(contexts, roll_deg=(-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0)),
         ),
     }
 
@@ -150,25 +178,31 @@ def main(arguments: Sequence[str]) -> int:
     report = Report("accuracy", {})
     folder = data_folder(settings["data"])
     with tempfile.TemporaryDirectory() as scratch:
-        measure(report, folder, Path(settings["work"] or scratch), settings["rivals"])
+        measure(report, folder, Path(settings["work"] or scratch), settings)
     report.finish(settings["out"])
     return 0
 
 
-def measure(report: Report, folder: Path, work: Path, rivals: bool) -> None:
-    """Every method on every kidney's pictures."""
+def measure(report: Report, folder: Path, work: Path, settings: dict[str, Any]) -> None:
+    """Every method, or the cues alone, on every kidney's pictures."""
     names = kidneys_with(folder, *STYLES)
     vids = {k: vid_of(folder, k, work) for k in names}
     styles = [*STYLES, *(s for s in MORE_STYLES if all((folder / k / s / "truth.csv").is_file() for k in names))]
-    pictures = {s: [still for k in names for still in stills(folder, k, s)] for s in styles}
-    for name, method in parts_left_out().items():
+    pictures = {s: [p for k in names for p in _some(stills(folder, k, s), settings["pictures"])] for s in styles}
+    for name, method in (cues_left_out() if settings["cues"] else parts_left_out()).items():
         answers = ask(method, vids, pictures)
         score(report, name, answers)
         if name == "default, refined":
             judge_confidence(report, answers)
             refuse(report, vids, folder)
-    if rivals:
+    if settings["rivals"] and not settings["cues"]:
         compare_rivals(report, folder, work, vids, pictures)
+
+
+def _some(pictures: list[Still], count: int) -> list[Still]:
+    """So many of the pictures, evenly; all for 0."""
+    kept = np.linspace(0, len(pictures) - 1, min(count or len(pictures), len(pictures)))
+    return [pictures[i] for i in kept.round().astype(int)]
 
 
 def compare_rivals(

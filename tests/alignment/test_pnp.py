@@ -1,14 +1,19 @@
 """PnP on rays: exact on exact pairs, unmoved by wrong ones, for any lens; and with a VID's own edges."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.alignment import EdgePnp, solve_pnp
-from ursnav_torch.alignment.pnp import PnpSettings
-from ursnav_torch.errors import ShapeError
+from ursnav_torch.alignment import EdgePnp, PnpSettings, solve_pnp, starts_from
+from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.geometry import apply, inverse, look_along, rotation_angle
+from ursnav_torch.localization import LocalizationSettings, Localizer
+from ursnav_torch.matching import Sinkhorn
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.search import ViewSearch, default_matching
 from ursnav_torch.vid import Vid
 
 TRUE = look_along(np.array([3.0, -40.0, 12.0]), np.array([0.3, 1.0, -0.2]), 0.7)
@@ -86,3 +91,33 @@ def test_a_views_own_edges_give_its_pose(vid: Vid) -> None:
         found = solver.pose(vid.extractor().extract(picture, virtual=True).edges, view, vid.T_kidney_camera[view])
         assert found is not None and found.inliers.mean() > 0.9
         assert np.linalg.norm(found.T_kidney_camera[:3, 3] - vid.T_kidney_camera[view, :3, 3]) < 0.2
+
+
+def test_correspondences_of_a_search_give_a_pose_nearer_than_the_view(vid: Vid) -> None:
+    """A millimeter beside view 3, the search has the picture at the view's own place; PnP moves it."""
+    renderer, T = RaycastRenderer(vid.kidney.mesh, vid.camera), vid.T_kidney_camera[3].copy()
+    T[:3, 3] += T[:3, 0]
+    features = vid.extractor().extract(renderer.render(T).image, virtual=True)
+    method = Sinkhorn(0.05, iterations=20, tolerance=float("inf"), dummy_cost=0.2)
+    found = ViewSearch(vid, matching=replace(default_matching(), method=method)).rank(features)
+    assert found.views[0] == 3
+    (start,) = starts_from(vid, features.edges, found, [0], PnpSettings())
+    off = [np.linalg.norm(pose[:3, 3] - T[:3, 3]) for pose in (start, found.T_kidney_camera[0])]
+    assert off[0] < 0.7 * off[1]
+    nothing = replace(found.assignment, strength=torch.zeros_like(found.assignment.strength))  # type: ignore[type-var]
+    assert starts_from(vid, features.edges, replace(found, assignment=nothing), [0], PnpSettings()) == []
+    assert starts_from(vid, features.edges, replace(found, assignment=None), [0], PnpSettings()) == []
+
+
+def test_a_localizer_refines_what_pnp_gives_where_it_is_asked_to(vid: Vid, picture: np.ndarray) -> None:
+    plain, more = (Localizer(vid, settings=LocalizationSettings(pnp_starts=n)) for n in (0, 2))
+    features = plain.features(picture)
+    ranking = plain.search.rank(features)
+    without, beside = (each.starts(ranking, 6, features) for each in (plain, more))
+    np.testing.assert_array_equal(without[0], beside[0])
+    wanted = starts_from(vid, features.edges, ranking, more._distinct(ranking.T_kidney_camera, 6)[:2], PnpSettings())
+    assert wanted and len(beside) == 6
+    np.testing.assert_allclose(beside[1 : 1 + len(wanted)], wanted)
+    np.testing.assert_array_equal(beside[1 + len(wanted) :], without[1 : 6 - len(wanted)])
+    with pytest.raises(InputError, match="pnp_starts"):
+        LocalizationSettings(pnp_starts=-1)

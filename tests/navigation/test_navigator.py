@@ -11,7 +11,9 @@ from flights import hover
 
 from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp
 from ursnav_torch.errors import InputError
+from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
+from ursnav_torch.search import VIDEO_SEARCH, default_matching
 from ursnav_torch.session import Player, Recorder, Replay, Result
 from ursnav_torch.tracking.tracker import Tracker
 
@@ -53,6 +55,19 @@ def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer)
     assert 0 <= last["waiting_s"] <= last["latency_s"] and last["tracking_s"] <= last["latency_s"]
     assert np.allclose([last["x_mm"], last["y_mm"], last["z_mm"]], state.T_kidney_camera[:3, 3])
     assert navigator.bus.latest().ended
+
+
+@pytest.mark.parametrize("method", [Nearest(keep=1.0), Sinkhorn(0.05, 20, float("inf"), dummy_cost=0.2), Hungarian()])
+def test_shapes_have_a_say_live_with_every_way_of_matching(vid, renderer, method):
+    """They were weighed into a fit that the test of the kidney did not know: every picture was another kidney's."""
+    matching = replace(default_matching(), method=method)
+    seeing = Tracker(vid, search=replace(VIDEO_SEARCH, shape_weight=2.0), matching=matching)
+    with Navigator(seeing, governor=Governor(budget_s=1e9)) as live:
+        for frame, T in frames(vid, renderer, pictures=8):  # noqa: B007
+            live.take(frame)
+            assert live.wait()
+        state = live.bus.latest()
+    assert state.tracking == "tracking" and np.linalg.norm(state.T_kidney_camera[:3, 3] - T[:3, 3]) < 2.0
 
 
 @pytest.mark.parametrize("drawn", [False, True])

@@ -4,23 +4,29 @@ RANSAC (Fischler and Bolles 1981) over three-point poses, then Levenberg-Marquar
 Cauchy weights. Rays instead of pixels, so that any lens will do, beyond 180 degrees too.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from ursnav_torch.errors import ShapeError
 from ursnav_torch.features import EdgePoints
 from ursnav_torch.geometry import Array, apply, inverse, transform_from
-from ursnav_torch.matching import Hungarian, Matcher, Matching, PairCost, ShapeContext
+from ursnav_torch.matching import Hungarian, Matcher
+from ursnav_torch.search import Ranking, default_matching
 from ursnav_torch.search.shape import turn_edges
 from ursnav_torch.vid import Vid
 
 #: Three points fix a pose up to four ways, the fourth decides; more make it sure.
 LEAST_POINTS = 6
+#: Share of a point's mass that must go to one point of the view, for the two to be a pair.
+LEAST_STRENGTH = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +96,50 @@ def solve_pnp(
     return Pnp(inverse(T), inliers)
 
 
+def pose_from_correspondences(
+    vid: Vid, edges: EdgePoints, view: int, view_point: Tensor, T_kidney_guess: Array, settings: PnpSettings
+) -> Pnp | None:
+    """The pose of a picture whose edge points were matched with those of a view, which know their places on the wall.
+
+    Args:
+        vid: its lens, and its views' points in the kidney.
+        edges: of the picture, N points.
+        view: row of the VID.
+        view_point: (N,) int64 the view's point for each of them.
+        T_kidney_guess: (4, 4) where the search has the picture.
+        settings: of the solver.
+
+    Returns:
+        None where no pose agrees with `LEAST_POINTS` pairs.
+    """
+    seen, _ = vid.camera.rays(edges.points.numpy().astype(float))
+    wall = vid.features.points_kidney[view, view_point].numpy().astype(float)
+    return solve_pnp(wall, seen, settings, T_kidney_guess)
+
+
+def starts_from(vid: Vid, edges: EdgePoints, found: Ranking, rows: Sequence[int], settings: PnpSettings) -> list[Array]:
+    """Poses (4, 4) that the correspondences of a search's hypotheses give, at those rows that give one.
+
+    Args:
+        vid, edges, settings: as `pose_from_correspondences` has them.
+        found: what `ViewSearch.rank` gave, with the assignment of the picture's points to each view's.
+        rows: of the hypotheses.
+    """
+    if found.assignment is None:
+        return []
+    poses = []
+    for row in rows:
+        kept = (found.assignment.strength[row] >= LEAST_STRENGTH).nonzero().flatten()
+        view_point = found.assignment.view_point[row, kept]
+        guess = found.T_kidney_camera[row]
+        solved = pose_from_correspondences(vid, edges.subset(kept), int(found.views[row]), view_point, guess, settings)
+        if solved is not None:
+            poses.append(solved.T_kidney_camera)
+    return poses
+
+
 class EdgePnp:
-    """Poses from the edge points of pictures and the 3-D points of a VID's edges.
+    """Poses of pictures near a known place, from the VID's nearest view: edges are matched one to one, then solved.
 
     Args:
         vid: its views' edge points know their places on the wall.
@@ -100,13 +148,8 @@ class EdgePnp:
 
     def __init__(self, vid: Vid, settings: PnpSettings | None = None) -> None:
         self._vid, self._settings = vid, settings or PnpSettings()
-        matching = Matching(
-            ShapeContext(r_inner=5.0, r_outer=40.0, scale=1.0),
-            PairCost(position_weight=1.0, direction_weight=1.0),
-            Hungarian(),
-        )
         f = vid.features
-        self._matcher = Matcher(f.points, f.mask, f.direction, matching)
+        self._matcher = Matcher(f.points, f.mask, f.direction, replace(default_matching(), method=Hungarian()))
 
     def pose(self, edges: EdgePoints, view: int, T_kidney_candidate: Array) -> Pnp | None:
         """The pose of a picture with these edges, whose best view and pose (4, 4) the localizer found.
@@ -115,10 +158,11 @@ class EdgePnp:
         """
         R_view_query = self._vid.T_kidney_camera[view, :3, :3].T @ T_kidney_candidate[:3, :3]
         points, direction = turn_edges(edges, self._vid.camera, R_view_query[None])
-        pairs = self._matcher.match(points[0], [view], direction[0])[0]
-        seen, _ = self._vid.camera.rays(edges.points[pairs.query].numpy().astype(float))
-        wall = self._vid.features.points_kidney[view, pairs.view].numpy().astype(float)
-        return solve_pnp(wall, seen, self._settings, T_kidney_candidate)
+        found = self._matcher.assign(points, direction, torch.tensor([view]))
+        kept = (found.strength[0] >= LEAST_STRENGTH).nonzero().flatten()
+        return pose_from_correspondences(
+            self._vid, edges.subset(kept), view, found.view_point[0, kept], T_kidney_candidate, self._settings
+        )
 
 
 def _consensus(points: Array, rays: Array, settings: PnpSettings, T_kidney_guess: Array | None) -> Array:

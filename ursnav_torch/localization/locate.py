@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment import PnpSettings, RefinementSettings, Refiner, starts_from
 from ursnav_torch.features import DefaultExtractor, Features, Settings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import observed_calyx
@@ -141,7 +141,7 @@ class Localizer:
         nearest = nearest_evidence(ranking, said, features, scale)
         if self._refiner is None:
             return Judgement(ranking, calyces, said.calyx, said.calyx, nearest, nearest, None, False)
-        refined = self._refiner.refine(features, self.starts(ranking, self._refiner.settings.hypotheses))
+        refined = self._refiner.refine(features, self.starts(ranking, self._refiner.settings.hypotheses, features))
         poses = np.concatenate([refined.T_kidney_camera[None], refined.tried])
         observed = observed_calyx(poses, self.vid.kidney, self.vid.lumen)
         calyx = int(observed[0])
@@ -154,9 +154,18 @@ class Localizer:
         full = refined_evidence(nearest, refined, observed, answer, firm, scale)
         return Judgement(ranking, calyces, answer, said.calyx, nearest, full, refined, believed)
 
-    def starts(self, ranking: Ranking, most: int) -> list[Array]:
-        """Poses (4, 4) to refine, at most so many: places of a ranking, best first, none near one before."""
-        return [self._mean_of_views(ranking, i) for i in self._distinct(ranking.T_kidney_camera, most)]
+    def starts(self, ranking: Ranking, most: int, features: Features | None = None) -> list[Array]:
+        """Poses (4, 4) to refine, at most so many: places of a ranking, best first, none near one before.
+
+        Where `LocalizationSettings.pnp_starts` asks for it, those that the picture's edges give come after the first.
+        """
+        rows = self._distinct(ranking.T_kidney_camera, most)
+        means = [self._mean_of_views(ranking, i) for i in rows]
+        count = self.settings.pnp_starts
+        if not count or features is None:
+            return means
+        solved = starts_from(self.vid, features.edges, ranking, rows[:count], PnpSettings())
+        return [*means[:1], *solved, *means[1:]][:most]
 
     def pose(self, found: Judgement) -> Array:
         """The answer's pose (4, 4)."""

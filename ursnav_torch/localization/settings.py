@@ -19,6 +19,8 @@ class LocalizationSettings:
             poses, and errs otherwise: where both are one place, the pose between them is the answer.
         risk: of the answers that are accepted at most this share is wrong; the others are "unsure".
         set_probability: with which the set of calyces holds the right one.
+        pnp_starts: of so many of the best hypotheses, robust PnP on the correspondences of their edge points gives one
+            more pose to refine each, beside the view's own; see `alignment.pnp`.
 
     The scores were chosen on simulated pictures of phantoms by ``python -m benchmarks.refinement``.
     """
@@ -30,8 +32,11 @@ class LocalizationSettings:
     min_score_to_replace_mean: float = 0.65
     risk: float = 0.01
     set_probability: float = 0.95
+    pnp_starts: int = 0
 
     def __post_init__(self) -> None:
+        if self.pnp_starts < 0:
+            raise InputError(f"pnp_starts is a number of hypotheses, 0 or more; got {self.pnp_starts}.")
         if self.keep < 1 or not 0 < self.risk < 1 or not 0 < self.set_probability < 1:
             raise InputError(
                 "Expected keep >= 1, 0 < risk < 1 and 0 < set_probability < 1, got "

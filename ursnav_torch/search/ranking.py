@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -39,6 +40,15 @@ class Ranking:
 
     def __len__(self) -> int:
         return len(self.views)
+
+    def at(self, rows: NDArray[np.int64]) -> "Ranking":
+        """The hypotheses at some rows (N,), in that order."""
+        chosen = self.assignment
+        if chosen is not None:
+            at = torch.from_numpy(rows)
+            chosen = Assignment(chosen.distance[at], chosen.view_point[at], chosen.strength[at])
+        R, T = self.R_view_query[rows], self.T_kidney_camera[rows]
+        return Ranking(self.views[rows], self.score[rows], self.best_score, R, T, chosen)
 
 
 def view_from_query(roll: Array, R_query_tilted: Array) -> Array:

@@ -52,6 +52,9 @@ class ViewSearch:
         lens = working_camera or vid.extractor().working_camera
         self._straight, self._grids = polar_grid(lens), polar_grid(lens, self._tilts)
 
+    def __len__(self) -> int:
+        return len(self._T)
+
     @property
     def scans(self) -> bool:
         """Whether polar maps are compared: the VID has them and they have weight."""
@@ -70,12 +73,12 @@ class ViewSearch:
         s = self.settings
         if self._scan is None or not features.maps.numel():
             found = self._by_shape(features)
-            return _rows(found, best_first(found.score, s.finalists))
+            return found.at(best_first(found.score, s.finalists))
         straight = self._scanned(features, self._straight).score
         views = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
         found = self.at_tilts(features, views)
-        found = self.with_shapes(features, _rows(found, best_first(found.score, s.finalists)))
-        return _rows(found, best_first(found.score, s.finalists))
+        found = self.with_shapes(features, found.at(best_first(found.score, s.finalists)))
+        return found.at(best_first(found.score, s.finalists))
 
     def everywhere(self, features: Features) -> Ranking:
         """Every view of the VID, in its order, at the roll that suits it best and no tilt."""
@@ -120,17 +123,3 @@ class ViewSearch:
         R = view_from_query(roll.astype(float), R_tilt)
         T = self._T[views] @ transform_from(R, np.zeros(3))
         return Ranking(views, score.astype(float), self.settings.map_weight, R, T)
-
-
-def _rows(found: Ranking, rows: Rows) -> Ranking:
-    """The hypotheses at some rows, in that order."""
-    chosen = found.assignment
-    if chosen is not None:
-        at = torch.from_numpy(rows)
-        chosen = replace(
-            chosen, distance=chosen.distance[at], view_point=chosen.view_point[at], strength=chosen.strength[at]
-        )
-    return Ranking(
-        found.views[rows], found.score[rows], found.best_score, found.R_view_query[rows], found.T_kidney_camera[rows],
-        chosen,
-    )  # fmt: skip

@@ -32,7 +32,10 @@ class ViewFilter:
         self._to_tips = lumen.to_calyces(places_mm)
 
     def update(self, features: Features, since: Since | None, sensor: SensorReading | None) -> tuple[Hypotheses, Array]:
-        """The hypotheses after a picture, and each one's search score (M,); nothing was known before when None."""
+        """The hypotheses after a picture, and each one's search score (M,); nothing was known before when None.
+
+        The scores are on the scale of the maps alone, as the test of the kidney knows them, whatever shapes may add.
+        """
         scale = self.settings.likelihood_scale
         straight = self.search.everywhere(features)
         prior = self._prior(straight.T_kidney_camera, self._to_tips, since, sensor)
@@ -41,7 +44,8 @@ class ViewFilter:
         T, to_tips = found.T_kidney_camera, self._to_tips[found.views]
         log = self._prior(T, to_tips, since, sensor) + found.score / scale
         weight = np.exp(log - log.max())
-        return Hypotheses(T, to_tips, weight / weight.sum()), found.score
+        fits = found.score * (self.search.settings.map_weight / found.best_score)
+        return Hypotheses(T, to_tips, weight / weight.sum()), fits
 
     def _worth_trying(self, log: Array, score: Array) -> NDArray[np.int64]:
         """The most probable views, and those that fit best wherever they are."""
