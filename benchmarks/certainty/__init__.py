@@ -11,7 +11,8 @@ from, and of every kind once with that kind left out. What is stored is learned 
 flight through each phantom does the same for tracks.
 What was known of each picture is kept in ``work``, so that another fit takes seconds; after a change of features or of
 a network give an empty one. Other arguments: ``phantoms=6 pictures=36`` (of a kind) ``flight=80`` (pictures of a
-flight) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge what the package knows)
+flight; with 0 the package's tracks stay as they are, and their position, which `benchmarks.flights` learns, stays in
+any case) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge what the package knows)
 ``out=FILE.json``.
 
 Tried before and left, on six phantoms: squares of the numbers make confidence likelier (0.287 against 0.299 nats) and
@@ -37,7 +38,7 @@ from benchmarks.shared.results import Report, errors_told, overrides
 from ursnav_torch.localization.calibrating import learn_certainty
 from ursnav_torch.localization.certainty import CertaintyModel
 from ursnav_torch.localization.fitting import Asked
-from ursnav_torch.localization.learned import Packaged, save_packaged
+from ursnav_torch.localization.learned import Packaged, packaged_models, save_packaged
 
 DEFAULTS = {
     "phantoms": 6, "pictures": 36, "flight": 80, "views": 120, "work": "", "data": "", "save": False, "learn": True,
@@ -78,8 +79,15 @@ def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
         report.add(f"{how}: learned", "accepted from confidence", "of 1", [model.threshold(settings["risk"])])
         if how == "refined":
             left_out(report, learning, judging, weight, settings)
-    track = learn_track(report, range(learned_on), range(learned_on, count), settings, work)
+    track = (
+        learn_track(report, range(learned_on), range(learned_on, count), settings, work) if settings["flight"] else None
+    )
     if settings["save"]:
+        packaged = packaged_models()
+        if (
+            packaged is not None and packaged.track is not None
+        ):  # flights that go wrong, too, teach how far off a track is
+            track = packaged.track if track is None else replace(track, position=packaged.track.position)
         every = {how: _every(report, how, settings, work) for how in ("refined", "nearest")}
         save_packaged(Packaged(current_settings(), every["refined"], every["nearest"], track))
         print("stored with the package", file=sys.stderr)
