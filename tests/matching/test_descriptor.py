@@ -55,12 +55,15 @@ def test_every_pair_counts_once_at_either_end(count: int, sectors: int, frame: s
         sets[0][2] = sets[0][0]  # at one place: they do not see each other
     weights, along = ([rng.uniform(0.2, 3, len(s)).astype(np.float32) for s in sets] for _ in range(2))
     packed = pack(sets)
-    rows = {"weights": pack_rows(weights, packed), "tangents": pack_rows(along, packed)}
-    found = describe(packed.points, packed.mask, settings, **rows)
-    for row, points, weight, angle in zip(found, sets, weights, along, strict=True):
-        wanted = by_hand(points, settings, angle if frame == "tangent" else None, weight)
-        np.testing.assert_allclose(row[: len(points)].numpy(), wanted, atol=1e-6)
-        assert row[len(points) :].abs().sum() == 0
+    tangents = pack_rows(along, packed)
+    plain = describe(packed.points, packed.mask, settings, tangents)
+    weighed = describe(packed.points, packed.mask, settings, tangents, pack_rows(weights, packed))
+    for i, points in enumerate(sets):
+        reference = along[i] if frame == "tangent" else None
+        for found, each in ((plain[i], None), (weighed[i], weights[i])):
+            wanted = by_hand(points, settings, reference, each)
+            np.testing.assert_allclose(found[: len(points)].numpy(), wanted, atol=1e-6)
+            assert found[len(points) :].abs().sum() == 0
 
 
 def test_mean_distances_are_those_of_all_pairs() -> None:

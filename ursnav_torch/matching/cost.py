@@ -65,7 +65,7 @@ def view_features(histograms: Tensor, direction: Tensor | None, mask: Tensor, co
     bins = histograms.shape[-1] if cost.compare == "hellinger" else 0
     out = torch.empty(*mask.shape[:-1], bins + (2 if along > 0 else 0) + 1, mask.shape[-1])
     if bins:
-        out[..., :bins, :].copy_(_roots(histograms, shape).transpose(-1, -2))
+        _to_roots(out[..., :bins, :].copy_(histograms.transpose(-1, -2)), shape)
     if along > 0:
         out[..., bins : bins + 2, :] = _doubled(direction, along).transpose(-1, -2) * mask[..., None, :]
     out[..., -1, :] = torch.where(mask, along / 2 + (shape if bins else 0.0), ABSENT)
@@ -75,15 +75,20 @@ def view_features(histograms: Tensor, direction: Tensor | None, mask: Tensor, co
 def query_features(histograms: Tensor, direction: Tensor | None, cost: PairCost) -> Tensor:
     """Rows (..., Pq, F) of a query for `view_features`."""
     shape, _, along = cost.shares()
-    columns = [_roots(histograms, shape).neg_()] if cost.compare == "hellinger" else []
+    columns = [_to_roots(histograms.clone(), shape).neg_()] if cost.compare == "hellinger" else []
     if along > 0:
         columns.append(-_doubled(direction, along))
     return torch.cat([*columns, torch.ones(*histograms.shape[:-1], 1)], -1)
 
 
-def _roots(histograms: Tensor, share: float) -> Tensor:
-    """Square roots of histograms times ``share``, by NumPy: PyTorch takes ten times as long for zeros, and most are."""
-    return torch.from_numpy(np.sqrt(histograms.numpy())).mul_(share**0.5)
+def _to_roots(histograms: Tensor, share: float) -> Tensor:
+    """Histograms replaced by their square roots times those of ``share``.
+
+    The roots are NumPy's: PyTorch takes ten times as long for zeros, and most of a histogram is zero.
+    """
+    values = histograms.numpy()
+    np.sqrt(values, out=values)
+    return histograms if share == 1 else histograms.mul_(share**0.5)
 
 
 def _doubled(direction: Tensor | None, along: float) -> Tensor:
