@@ -1,4 +1,5 @@
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -179,3 +180,17 @@ def test_refuses_what_does_not_fit() -> None:
         pack([np.zeros((4, 3))])
     with pytest.raises(InputError, match="not finite"):
         pack([np.array([[0.0, np.nan]])])
+
+
+def test_memory_that_is_kept_changes_no_later_answer() -> None:
+    """Other numbers of points, bins and sets in between, in and out of inference mode, in another thread."""
+    other = ShapeContext(3, 8, scale=40.0)
+    first, second = described(blob(1), blob(2)), described(blob(3, 33), settings=other)
+    with torch.inference_mode():
+        torch.testing.assert_close(described(blob(1), blob(2)).clone(), first)
+        torch.testing.assert_close(described(blob(3, 33), settings=other).clone(), second)
+    with ThreadPoolExecutor(2) as pool:
+        both = list(pool.map(lambda seed: described(blob(seed)), [1, 2] * 20))
+    for found, wanted in zip(both, [0, 1] * 20, strict=True):
+        torch.testing.assert_close(found[0], first[wanted])
+    torch.testing.assert_close(described(blob(1), blob(2)), first)

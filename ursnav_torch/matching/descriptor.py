@@ -12,10 +12,10 @@ from torch import Tensor
 
 from ursnav_torch.errors import InputError, ShapeError
 from ursnav_torch.matching.neighbors import (
-    PairBins,
     ahead,
     differences,
     padded_far,
+    pair_bins,
     repeated,
     sets_at_a_time,
     slices,
@@ -138,7 +138,7 @@ def describe(
     counts = None if weights is None else weights.float()
 
     def work(part: slice) -> None:
-        bins = PairBins(part.stop - part.start, width, settings.radii(), settings.angular_bins)
+        bins = pair_bins(part.stop - part.start, width, settings.radii(), settings.angular_bins)
         for some in slices(part, width):
             turned = phase[some] if isinstance(phase, Tensor) else phase
             own = bins.count(unit[some], turned, None if counts is None else counts[some])

@@ -5,6 +5,7 @@ half of the pairs alone; and a set laid out twice in a row holds all of them wit
 """
 
 import math
+import threading
 from collections.abc import Iterator
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 
 #: Pairs handled at once, so that what is computed of them stays in the second-level cache.
 PAIRS_AT_A_TIME = 40_000
+_kept = threading.local()
 #: Where padding stands, in units of a set's scale: beyond any reach, no two of it at one place.
 _FAR = 1e6
 
@@ -132,3 +134,18 @@ class PairBins:
             return self._ones[:, :sets]
         both = torch.stack([ahead(weights), weights[:, None].expand(-1, self._count // 2, -1)])
         return both * self._ones[:, :sets]
+
+
+def pair_bins(sets: int, count: int, radii: Tensor, sectors: int) -> PairBins:
+    """`PairBins` as it takes them, for this thread alone: the last one's memory is used again, as fresh pages are slow.
+
+    Sets so large that no two fit the cache get memory of their own, which goes when they are done.
+    """
+    if count * (count // 2) > PAIRS_AT_A_TIME // 2:
+        return PairBins(sets, count, radii, sectors)
+    wanted = (count, tuple(radii.tolist()), sectors)
+    if getattr(_kept, "wanted", None) != wanted:
+        with torch.inference_mode(False):  # it outlives the mode it is made in
+            _kept.bins, _kept.wanted = PairBins(sets_at_a_time(count), count, radii, sectors), wanted
+    bins: PairBins = _kept.bins
+    return bins
