@@ -137,9 +137,12 @@ class PairBins:
 
 
 def pair_bins(sets: int, count: int, radii: Tensor, sectors: int) -> PairBins:
-    """`PairBins` as it takes them, for this thread alone: the last one's memory is used again, as fresh pages are slow.
+    """`PairBins` for this thread alone: the last one's memory is used again, as fresh pages are slow.
 
     Sets so large that no two fit the cache get memory of their own, which goes when they are done.
+
+    Args:
+        sets, count, radii, sectors: as `PairBins` takes them; radii (R,).
     """
     if count * (count // 2) > PAIRS_AT_A_TIME // 2:
         return PairBins(sets, count, radii, sectors)
