@@ -28,7 +28,7 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
     known.write_text("stone,x_mm,y_mm,z_mm,size_mm\nS1,0,0,500,4\n", encoding="utf-8")
     done = run(
         "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "hardware.speed=0",
-        "viewer=none", f"out={out}", f"known_stones={known}",
+        "viewer=none", f"out={out}", f"known_stones={known}", "latency_s=0.000001",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "20 pictures, 20 located" in done.out and "of its wall seen" in done.out and "report.html" in done.out
@@ -40,6 +40,7 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
     assert [(s["known"], s["state"]) for s in stones] == [("S1", "not found")] and (out / "stones.png").exists()
     rows = [r.row for r in Replay(out).results()]
     assert len(rows) == 20 and all({"state", "latency_s", "effort"} <= set(row) for row in rows)
+    assert {row["effort"] for row in rows} == {0}, "nothing is late where the record waits"
     again = run(
         "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "viewer=none", f"out={out}"
     )

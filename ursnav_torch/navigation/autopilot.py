@@ -4,6 +4,7 @@ It stands where a gamepad stands, so that everything it asks for passes the same
 """
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +16,9 @@ from ursnav_torch.devices import Gamepad, OperatorInput, Robot
 from ursnav_torch.devices.robots.safety import ARMED, STOPPED
 from ursnav_torch.errors import InputError
 from ursnav_torch.navigation.navigator import Navigator
+from ursnav_torch.navigation.state import NavigationState
 from ursnav_torch.session import Rig
+from ursnav_torch.simulation import SimulatedTime
 
 #: Gray level from which on a pixel shows nothing.
 _TOO_BRIGHT = 250
@@ -98,12 +101,14 @@ def make_autopilot(
     guide = navigator.guide
     explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits)
     names = {c.name: i for i, c in enumerate(navigator.vid.kidney.calyces)}
+    clock: Callable[[], float] = rig.clock or time.monotonic
+    newest = navigator.bus.latest if rig.clock is None else Late(navigator.bus.latest, rig.clock)
 
     def perceive(robot: Robot) -> Perception:
-        state, at = navigator.bus.latest(), robot.reported
+        state, at = newest(), robot.reported
         frame = state.frame
         return Perception(
-            time.monotonic(),
+            clock(),
             state.T_kidney_camera,
             frame.stamp.t_mono_s if frame is not None else 0.0,
             tuple(names[name] for name in state.calyces if name in names),
@@ -114,6 +119,33 @@ def make_autopilot(
         )
 
     return Autopilot(hands, rig.robot, explorer, perceive, navigator.say_autonomy, quits)
+
+
+class Late:
+    """Gives each state as long after its picture was taken as simulated time says that an answer takes.
+
+    Args:
+        latest: the newest state.
+        clock: the time; call this once in every cycle of control.
+    """
+
+    def __init__(self, latest: Callable[[], NavigationState], clock: SimulatedTime) -> None:
+        self._latest, self._clock = latest, clock
+        self._coming: deque[NavigationState] = deque()
+        self._arrived = NavigationState()
+
+    def __call__(self) -> NavigationState:
+        """The newest state whose time has come."""
+        state = self._latest()
+        if not self._coming or self._coming[-1].frame is not state.frame:
+            self._coming.append(state)
+        while self._coming and self._is_due(self._coming[0]):
+            self._arrived = self._coming.popleft()
+        return self._arrived
+
+    def _is_due(self, state: NavigationState) -> bool:
+        taken_s = state.frame.stamp.t_mono_s if state.frame is not None else 0.0
+        return self._clock.now_s >= taken_s + self._clock.answer_s
 
 
 def glare_share(image: NDArray[np.uint8]) -> float:

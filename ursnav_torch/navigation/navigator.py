@@ -38,7 +38,7 @@ logger = logging.getLogger(__name__)
 
 #: Pictures whose latency is remembered for `Navigator.latencies`; and seconds between lines in the log.
 REMEMBERED, LOG_S = 20_000, 10.0
-#: The way on need not be found anew more often than this.
+#: The way on need not be found anew more often than this, by the pictures' time.
 GUIDE_S = 0.1
 #: A pose older than this is said to be old.
 STALE_S = 2.0
@@ -107,6 +107,9 @@ class Navigator:
         self._given = self._finished = 0
         self._forget = self._choose_again = self._failing = False
         self._logged_s, self._published_s, self._painting_s = time.monotonic(), 0.0, 0.0
+        self._seen_from: Array | None = None
+        self._counted_s: float | None = None
+        self._shown_s = -np.inf
         self._threads: list[threading.Thread] = []
 
     @property
@@ -221,7 +224,10 @@ class Navigator:
                 continue
             self._failing = False
             self._publish(seen, tracked, begun)
-            self._answers.put((tracked, job.frame))
+            if self._pace.patient:  # then what a row tells is the same on a slow machine
+                self._count(tracked, job.frame)
+            else:
+                self._answers.put((tracked, job.frame))
             self._finish(job)
 
     def _fail(self, job: _Job, error: Exception) -> None:
@@ -276,7 +282,7 @@ class Navigator:
         self.latencies.append(latency)
         row = _row(job, tracked, names, latency, level) | self._news_of_coverage()
         self._results.append(Result(self._stamp(), job.frame.stamp.sequence, row))
-        new_level = self._governor.observe(latency.total_s)
+        new_level = level if self._pace.patient else self._governor.observe(latency.total_s)
         if new_level != level:
             self.tracker.ease(new_level)
             logger.warning("%s", WORDS[new_level] or "The machine keeps up again: everything is done.")
@@ -295,29 +301,31 @@ class Navigator:
 
     def _paint(self) -> None:
         """Count what was seen and find the way on, as often as there is time."""
-        due, last_s, T = 0.0, None, None
         while not self._end.is_set():
             found = self._answers.take(0.1)
-            begun = time.monotonic()
             if found is not None:
-                tracked, frame = found
-                T, t_s = _believed(tracked), frame.stamp.t_mono_s
-                if tracked.T_kidney_camera is not None and tracked.is_settled and last_s is not None:
-                    self.guide.paint(tracked.T_kidney_camera, t_s - last_s, tracked.bodies)
-                self._see_stones(tracked, frame)
-                last_s = t_s
-            if (found is not None and begun >= due) or self._choose_again:
+                self._count(*found)
+            if self._choose_again:
                 self._choose_again = False
-                self._show(T)
-                due = begun + GUIDE_S
-                self._painting_s = time.monotonic() - begun
+                self._show(self._seen_from)
             if (
                 self._pace.steady
                 and self.located
-                and begun - self._published_s > STALE_S
+                and time.monotonic() - self._published_s > STALE_S
                 and not self.bus.latest().stale
             ):
                 self.bus.update(lambda state: _worded(replace(state, stale=True)))
+
+    def _count(self, tracked: Tracked, frame: Frame) -> None:
+        """Count what a picture shows of the wall and of stones; find the way on where it was not found just now."""
+        begun, t_s = time.monotonic(), frame.stamp.t_mono_s
+        if tracked.T_kidney_camera is not None and tracked.is_settled and self._counted_s is not None:
+            self.guide.paint(tracked.T_kidney_camera, t_s - self._counted_s, tracked.bodies)
+        self._see_stones(tracked, frame)
+        self._seen_from, self._counted_s = _believed(tracked), t_s
+        if not 0 <= t_s - self._shown_s < GUIDE_S:  # a replay may go back
+            self._show(self._seen_from)
+            self._shown_s, self._painting_s = t_s, time.monotonic() - begun
 
     def _see_stones(self, tracked: Tracked, frame: Frame) -> None:
         """Stones of a picture; whatever one does to their map, coverage and the way on stay."""

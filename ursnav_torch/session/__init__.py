@@ -1,5 +1,6 @@
-"""What came in and went out, kept and played back: `Live` makes the events of a rig, `Recorder` writes them,
-`Replay` reads them again, `open_session` connects either, and `run_session` is the loop that works through it.
+"""What came in and went out, kept and played back: `Live` makes the events of a rig, `Stepped` those of one in
+simulated time, `Recorder` writes them, `Replay` reads them again, `open_session` connects any of these, and
+`run_session` is the loop that works through it.
 """
 
 from ursnav_torch.session.console import HOLD, MOVES, Console
@@ -14,6 +15,7 @@ from ursnav_torch.session.rig import Rig, build_rig
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
 from ursnav_torch.session.source import EventSource, Pace
 from ursnav_torch.session.status_line import StatusLine
+from ursnav_torch.session.stepped import Stepped, rehearse
 
 __all__ = [
     "HOLD",
@@ -34,9 +36,11 @@ __all__ = [
     "SessionControls",
     "Snapshot",
     "StatusLine",
+    "Stepped",
     "Summary",
     "Worker",
     "build_rig",
     "open_session",
+    "rehearse",
     "run_session",
 ]

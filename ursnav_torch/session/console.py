@@ -2,9 +2,10 @@
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
-from ursnav_torch.devices import Gamepad, OperatorInput, Robot
+from ursnav_torch.devices import Gamepad, OperatorInput, Robot, Stamper
 from ursnav_torch.devices.robots.safety import DISARMED
 from ursnav_torch.simulation import TwinPilot
 
@@ -34,12 +35,19 @@ class Console(Gamepad):
         robot: stopped at once, without waiting for the next cycle; or None.
         may_drive: whether the page may arm and drive.
         stay: whether a pilot that has finished leaves the scope to the page instead of ending the session.
+        clock: seconds by which its input is stamped.
     """
 
     def __init__(
-        self, hands: Gamepad | None, robot: Robot | None = None, may_drive: bool = False, stay: bool = False
+        self,
+        hands: Gamepad | None,
+        robot: Robot | None = None,
+        may_drive: bool = False,
+        stay: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
+        self._stamp = Stamper(clock)
         self.hands, self.may_drive, self._robot = hands, may_drive, robot
         self._pilot = isinstance(hands, TwinPilot)
         self.by_hand = hands is None

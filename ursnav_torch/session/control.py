@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -33,15 +33,21 @@ class Control:
         gamepad: what the operator holds.
         light: what is dimmed, or None.
         light_step: what one press of the light's buttons changes.
+        clock: seconds by which notes are stamped.
     """
 
     def __init__(
-        self, robot: Robot | None, gamepad: Gamepad, light: Lamp | None = None, light_step: float = 0.1
+        self,
+        robot: Robot | None,
+        gamepad: Gamepad,
+        light: Lamp | None = None,
+        light_step: float = 0.1,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.robot, self.gamepad, self.light, self.light_step = robot, gamepad, light, light_step
         self._level = 1.0
         self._last: OperatorInput | None = None
-        self._note = Stamper()
+        self._note = Stamper(clock)
         self._cycle = 0
         self._acknowledged_s = 0.0
 

@@ -4,6 +4,7 @@ import contextlib
 import json
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,6 +23,7 @@ from ursnav_torch.session.replay import Replay
 from ursnav_torch.session.rig import Rig, World
 from ursnav_torch.session.run import Observer, Summary, Worker, run_session
 from ursnav_torch.session.source import EventSource
+from ursnav_torch.session.stepped import Stepped
 
 #: Puts something between the hands and the robot: given the console, the rig with its own gamepad, and whether a page
 #: watches.
@@ -74,7 +76,7 @@ def open_session(
     """Connect what there is; disconnect at the end. `SIGNALS` end the session in good order, a second one at once.
 
     Args:
-        hardware: a record, or what builds a rig when given ``world`` (a partial of `build_rig`).
+        hardware: a record, or what builds a rig when given ``world`` (a partial of `build_rig` or `rehearse`).
         world: makes the anatomy of a simulated scope; called only when there is one.
         recorder: where everything goes, or None.
         duration_s: end after so long; 0 for no end but the operator's, or the record's.
@@ -105,12 +107,13 @@ def _open_replay(replay: Replay, recorder: Recorder | None, player: Player) -> S
 def _open_rig(
     rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack, between: Between | None
 ) -> Session:
-    console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched)
+    clock = rig.clock or time.monotonic
+    console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched, clock=clock)
     hands: Gamepad = console
     if between is not None:
         hands = between(console, rig, watched)
     rig = stack.enter_context(replace(rig, gamepad=hands))
-    live = Live(rig, duration_s)
+    live = Live(rig, duration_s) if rig.clock is None else Stepped(rig, duration_s)
     keepers = (partial(publish, rig.output),) if rig.output else ()
     return Session(live, SessionControls(live.stop, console, by_itself=between is not None), keepers)
 

@@ -19,7 +19,7 @@ from ursnav_torch.devices import (
 )
 from ursnav_torch.errors import DeviceError, InputError
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.simulation import Twin, World
+from ursnav_torch.simulation import SimulatedTime, Twin, World
 from ursnav_torch.threads import share_arenas
 
 #: What a rig gives to its devices, by type.
@@ -28,7 +28,11 @@ PROVIDED: tuple[Any, ...] = (Twin, Kidney, Robot)
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A set-up; what it lacks is None. In a ``with`` block all of it is connected, and disconnected at the end."""
+    """A set-up; what it lacks is None. In a ``with`` block all of it is connected, and disconnected at the end.
+
+    Attributes:
+        clock: simulated time, by which all its devices go; None for the world's.
+    """
 
     camera: CameraDevice | None = None
     tracker: EmTracker | None = None
@@ -37,6 +41,7 @@ class Rig:
     gamepad: Gamepad | None = None
     output: Output | None = None
     twin: Twin | None = None
+    clock: SimulatedTime | None = None
 
     def devices(self) -> list[Device]:
         """All devices, the robot first."""

@@ -74,6 +74,8 @@ class Summary:
         return f"{self.seconds:.1f} s: {counts or 'nothing'}; {'; '.join(bad) or 'none lost'}"
 
 
+#: A picture that is not dealt with after so long will never be; a busy machine takes seconds.
+PATIENCE_S = 120.0
 #: A device that fails for hours must not fill the memory with the same words.
 MOST_FAULTS = 1000
 
@@ -109,7 +111,7 @@ def run_session(source: EventSource, worker: Worker | None = None, observers: Se
                 continue
             worker.take(event)
             if source.pace.patient and isinstance(event, Frame):
-                worker.wait()
+                _wait_for(worker)
             for result in worker.results():
                 tell(result)
     if worker is not None:
@@ -119,3 +121,10 @@ def run_session(source: EventSource, worker: Worker | None = None, observers: Se
     summary.dropped, summary.outages_s = source.dropped, dict(source.outages_s)
     summary.seconds = time.monotonic() - begun
     return summary
+
+
+def _wait_for(worker: Worker) -> None:
+    """Wait until the last picture is dealt with: however slow the machine is, none is passed over."""
+    until = time.monotonic() + PATIENCE_S
+    while not worker.wait() and time.monotonic() < until:
+        pass

@@ -10,7 +10,7 @@ from ursnav_torch.simulation.simulated import (
     TwinCamera,
     make_twin,
 )
-from ursnav_torch.simulation.stepped import SteppedRobot
+from ursnav_torch.simulation.stepped import SimulatedTime, SteppedCamera, SteppedRobot
 from ursnav_torch.simulation.twin import Scope, Twin
 from ursnav_torch.simulation.world import World
 
@@ -21,6 +21,8 @@ __all__ = [
     "SimulatedNdiTracker",
     "SimulatedOpenIgtlTracker",
     "SimulatedRosserialRobot",
+    "SimulatedTime",
+    "SteppedCamera",
     "SteppedRobot",
     "Twin",
     "TwinCamera",

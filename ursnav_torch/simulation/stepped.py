@@ -1,12 +1,67 @@
-"""A robot in simulated time: its controller is arithmetic, its gate, limits and watchdog are every robot's."""
+"""A robot and a camera in simulated time.
+
+The robot's controller is arithmetic; its gate, limits and watchdog are every robot's.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from ursnav_torch.devices import Drive, JointRates, Joints, Limits, Robot, Stamper
+from ursnav_torch.devices import CameraDevice, Drive, Frame, JointRates, Joints, Limits, Robot, Stamper
 from ursnav_torch.devices.robots.safety import SafetyGate
+from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array
+from ursnav_torch.simulation.twin import Twin
+
+
+@dataclass(slots=True)
+class SimulatedTime:
+    """A clock that goes on when it is told to; called, it tells the time.
+
+    Attributes:
+        now_s: the time.
+        answer_s: from a picture to its answer; what live tracking is to keep.
+    """
+
+    now_s: float = 0.0
+    answer_s: float = 0.13
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class SteppedCamera(CameraDevice):
+    """The twin's camera by simulated time: `read` takes a picture now and never waits.
+
+    Args:
+        twin: the scope.
+        clock: the time.
+        rate_hz: pictures a second.
+
+    Attributes:
+        due_s: when the next picture is due.
+
+    Raises:
+        InputError: the rate is not positive.
+    """
+
+    def __init__(self, twin: Twin, clock: SimulatedTime, rate_hz: float = 15.0) -> None:
+        super().__init__()
+        if rate_hz <= 0:
+            raise InputError(f"rate_hz must be positive, got {rate_hz}.")
+        self.twin, self._period_s, self.due_s = twin, 1 / rate_hz, 0.0
+        self._stamp = Stamper(clock)
+
+    def read(self, timeout_s: float = 1.0) -> Frame:
+        """The picture of now; the next is due a period after this one was."""
+        self._check_connected()
+        self.due_s += self._period_s
+        return Frame(self._stamp(), self.twin.image())
+
+    def _open(self) -> None: ...
+
+    def _close(self) -> None: ...
 
 
 class SteppedRobot(Robot):
@@ -22,7 +77,7 @@ class SteppedRobot(Robot):
         super().__init__(limits or Limits(), horizon_s=0.12, watchdog_s=0.5, tolerance=1e-6)
         self.drive, self._clock = drive or Drive(), clock
         self.gate = SafetyGate(clock)
-        self._stamp = self._command_stamp = Stamper(clock)
+        self._stamp, self._command_stamp = Stamper(clock), Stamper(clock)
         self._joints, self._rates = np.zeros(3), np.zeros(3)
         self._now_s = self._until_s = clock()
         self.light = 1.0

@@ -1,0 +1,71 @@
+"""An exploration from end to end in simulated time, watched in a real browser."""
+
+import re
+import shutil
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from small_explorations import explore_whole, small_vid
+
+from ursnav_torch.page import web_page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+PATIENCE_S = 300.0
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")]
+
+
+@pytest.fixture(scope="module")
+def watched(phantom, lens, tmp_path_factory):
+    """The page of an exploration, which begins when somebody looks, and what it brought in the end."""
+    vid = small_vid(phantom, lens, tmp_path_factory.mktemp("watched") / "vid")
+    pages, brought, ready, looks = [], [], threading.Event(), threading.Event()
+
+    @contextmanager
+    def page_of(navigator, controls):
+        with web_page(navigator, controls, port=0) as live:
+            pages.append(live)
+            ready.set()
+            assert looks.wait(PATIENCE_S)
+            yield
+
+    session = threading.Thread(target=lambda: brought.append(explore_whole(vid, page=page_of)))
+    session.start()
+    assert ready.wait(PATIENCE_S)
+    yield pages[0], looks, brought, session
+    looks.set()
+    pages[0].controls.stop()
+    session.join(timeout=PATIENCE_S)
+    assert not session.is_alive()
+
+
+def test_a_whole_exploration_is_watched_until_every_calyx_is_inspected(watched):
+    from playwright.sync_api import sync_playwright
+
+    page, looks, brought, session = watched
+    errors, said = [], set()
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        tab = browser.new_page(viewport={"width": 1000, "height": 700})
+        tab.set_default_timeout(1e3 * PATIENCE_S)
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.goto(page.url)
+        tab.wait_for_selector("#strip button")
+        looks.set()
+        until = time.monotonic() + PATIENCE_S
+        while "By itself: finished: every calyx was visited." not in (text := tab.inner_text("#status")):
+            assert time.monotonic() < until, f"the status still says {text!r}"
+            said |= set(re.findall(r"By itself: ([a-z ]+):", text))
+            tab.wait_for_timeout(50)
+        assert {"approaching", "retreating"} <= said, said
+        assert "All 3 inspected." in tab.inner_text("#status")
+        strip = [re.sub(r"\s+", " ", text) for text in tab.locator("#strip button").all_inner_texts()]
+        assert len(strip) == 3 and all("inspected" in text or "✓" in text for text in strip), strip
+        assert errors == []
+        browser.close()
+    page.controls.stop()
+    session.join(timeout=PATIENCE_S)
+    assert brought[0].explored.finished and {v.verdict for v in brought[0].explored.visits} == {"inspected"}
