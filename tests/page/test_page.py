@@ -256,6 +256,7 @@ def test_the_report_needs_nothing_but_itself(vid, record, tmp_path):
 def test_two_sessions_are_laid_side_by_side_and_one_that_was_never_navigated_is_refused(vid, record, tmp_path):
     path = write_comparison(vid, Replay(record, speed=0), Replay(record, speed=0), tmp_path / "both.html")
     text = path.read_text(encoding="utf-8")
+    assert text.count("2182 ± 613 mm") == 1 and text.count("<th>navigated</th>") >= 4, "training, side by side"
     assert text.count('class="time-line"') == 2 and text.count("duration") == 1 and text.count("navigated</h3>") == 4
     assert set(re.findall(r'<a href="#([ab])\d+"', text)) == {"a", "b"}
     raw = Replay(record.parent / "raw", speed=0)

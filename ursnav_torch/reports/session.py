@@ -19,9 +19,10 @@ from ursnav_torch.navigation import confidence_words
 from ursnav_torch.reports.coverage import draw_coverage
 from ursnav_torch.reports.html import inline_picture, render_page
 from ursnav_torch.reports.overview import draw_overview
-from ursnav_torch.reports.session_parts import PUBLISHED_PATHS, files_to_keep, film, time_line, training_summary
+from ursnav_torch.reports.session_parts import files_to_keep, film, time_line
 from ursnav_torch.reports.stones import NOTHING_TOLD, StonesTold
 from ursnav_torch.reports.stretches import DOUBT, DOUBT_S, LONGEST_GAP_S, session_stretches
+from ursnav_torch.reports.training import TrainingFigures, calyx_training, training_figures, training_rows
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import Vid
@@ -55,6 +56,7 @@ class SessionFigures:
         frame: (N,) its number.
         T_kidney_camera: (M, 4, 4) where the track was believed; ``believed`` (N,) says for which pictures.
         settled: (M,) whether the picture could be of one calyx alone.
+        calyx: (M,) the calyx in it, blank for none.
         time_in_s: by calyx, and blank for none.
         best: by calyx the number of the picture that shows it surest and from near.
         path_mm, speed_mm_s: length of the way, and the median speed while moving.
@@ -67,6 +69,7 @@ class SessionFigures:
     believed: NDArray[np.bool_]
     T_kidney_camera: Array
     settled: NDArray[np.bool_]
+    calyx: list[str]
     time_in_s: dict[str, float] = field(default_factory=dict)
     best: dict[str, int] = field(default_factory=dict)
     path_mm: float = 0.0
@@ -84,7 +87,8 @@ def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
     believed = np.array([bool(row["accepted"]) for _, row in rows], bool)
     T = _poses([row for _, row in rows if row["accepted"]])
     settled = np.array(["|" not in str(row.get("calyces", "")) for _, row in rows if row["accepted"]], bool)
-    found = SessionFigures(t, frame, believed, T, settled)
+    calyx = [str(row["calyx"] or "") for _, row in rows if row["accepted"]]
+    found = SessionFigures(t, frame, believed, T, settled, calyx)
     lasted = np.minimum(np.diff(t, append=t[-1:]), LONGEST_GAP_S)
     surest: dict[str, float] = {}
     tips = {c.name: c.tip_mm for c in kidney.calyces}
@@ -145,11 +149,13 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
     figures = session_figures(replay, vid.kidney)
     coverage = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
-    for T, seconds in zip(figures.T_kidney_camera[figures.settled], passed[figures.settled], strict=True):
-        coverage.add(T, float(seconds))
-    details, stretches, pictures = _details(figures, coverage, replay), session_stretches(replay), film(replay, prefix)
+    counts = np.where(figures.settled[:, None, None], figures.T_kidney_camera, np.nan)
+    training = training_figures(coverage, figures.t_s[figures.believed], figures.calyx, counts, passed)
+    details = _details(figures, training, replay)
+    stretches, pictures = session_stretches(replay), film(replay, prefix)
     return {
-        "summary": _summary(figures, len(vid.kidney.calyces)) | training_summary(coverage.calyces()),
+        "summary": _summary(figures, len(vid.kidney.calyces)),
+        "training": training_rows(training, figures.path_mm, figures.speed_mm_s, vid.kidney.scale),
         "path": [inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
         "coverage": inline_picture(draw_coverage(coverage)),
         "pictures": pictures,
@@ -159,7 +165,7 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
     }
 
 
-def _details(figures: SessionFigures, coverage: Coverage, replay: Replay) -> dict[str, Any]:
+def _details(figures: SessionFigures, training: TrainingFigures, replay: Replay) -> dict[str, Any]:
     """What the page says and shows of every calyx and of the doubtful moments."""
     shown = figures.moments[:MOMENTS_SHOWN]
     frames = _frames(replay, {*figures.best.values(), *(m.frame for m in shown)})
@@ -174,7 +180,8 @@ def _details(figures: SessionFigures, coverage: Coverage, replay: Replay) -> dic
             "frame": figures.best.get(c.calyx, -1),
             "picture": pictures.get(figures.best.get(c.calyx, -1)),
         }
-        for c in coverage.calyces()
+        | calyx_training(training, c.calyx)
+        for c in training.calyces
     ]
     moments = [{"words": f"{m.from_s:.1f} to {m.to_s:.1f} s: {m.why}", "picture": pictures.get(m.frame)} for m in shown]
     more = len(figures.moments) - len(shown)
@@ -246,7 +253,6 @@ def _summary(figures: SessionFigures, calyces: int) -> dict[str, str]:
         "duration": f"{seconds:.0f} s",
         "pictures located": f"{len(figures.t_s)}, {tracked:.0%} of them with a place that was believed",
         "calyces looked into": f"{sum(1 for name in figures.time_in_s if name)} of {calyces}",
-        "path": f"{figures.path_mm:.0f} mm, {figures.speed_mm_s:.1f} mm/s while moving (median); {PUBLISHED_PATHS}",
         "picture to pose": f"{figures.latency_ms[0]:.0f} ms median, {figures.latency_ms[1]:.0f} ms 95th percentile",
         "doubtful moments": f"{len(figures.moments)}, {sum(m.to_s - m.from_s for m in figures.moments):.0f} s in all",
     }

@@ -10,7 +10,6 @@ import numpy as np
 
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.devices import Frame
-from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, CalyxCoverage
 from ursnav_torch.reports.html import inline_picture
 from ursnav_torch.reports.stretches import Stretch
 from ursnav_torch.session import Replay
@@ -19,9 +18,6 @@ from ursnav_torch.session import Replay
 FILM_PICTURES = 36
 #: Width of a time line's drawing; its units are of no matter.
 WIDTH = 1000.0
-#: Way of the tip through a whole kidney, mean and standard deviation of ten each, beside which a trainee's is read
-#: (kinematics of the ureteroscope's tip, synapsesocial W4399358136).
-PUBLISHED_PATHS = "published for a whole kidney: novices 2182 ± 613 mm, experts 1164 ± 290 mm"
 
 
 def film(replay: Replay, prefix: str) -> list[dict[str, Any]]:
@@ -64,20 +60,12 @@ def files_to_keep(
             [(f"{s.from_s:.2f}", f"{s.to_s:.2f}", s.kind, s.calyx) for s in stretches],
         ),
         "calyces.csv": (
-            ("calyx", "pole", "verdict", "wall_seen", "time"),
-            [[c[key] for key in ("name", "pole", "verdict", "share", "time")] for c in calyces],
+            ("calyx", "pole", "verdict", "wall_seen", "time", "visits", "inspected_after"),
+            [[c[key] for key in ("name", "pole", "verdict", "share", "time", "visits", "inspected")] for c in calyces],
         ),
         "path.csv": (("frame", *columns), [(n, *(_cell(row.get(c)) for c in columns)) for n, row in rows]),
     }
     return [{"name": name, "address": _csv_address(*table)} for name, table in tables.items()]
-
-
-def training_summary(calyces: Sequence[CalyxCoverage]) -> dict[str, str]:
-    """What a trainee asks besides: which calyces that the scope can reach were not inspected."""
-    missed = [c.calyx for c in calyces if c.verdict not in (INSPECTED, OUT_OF_REACH)]
-    reachable = sum(c.verdict != OUT_OF_REACH for c in calyces)
-    words = f"{len(missed)} of {reachable} in reach: {', '.join(missed)}" if missed else f"none of {reachable} in reach"
-    return {"calyces not inspected": words}
 
 
 def _cell(value: Any) -> Any:
