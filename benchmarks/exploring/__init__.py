@@ -7,7 +7,8 @@
 
 In every phantom one calyx is blocked by a stone that the map does not know. The scope has plays and breathes. What the
 explorer says is compared with the wall that the true poses saw. Seeds make the halves; results are kept in ``work``
-for each phantom and setting, and the next call goes on from there.
+for each phantom and setting, and the next call goes on from there. ``tissue=`` names what an operation does besides, of
+breathing, swelling, bleeding and buckling (see `TissueSettings`).
 """
 
 import hashlib
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from benchmarks.exploring.twins import stone_in, tissue_of, twin_in
 from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population, vid_for
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
@@ -36,11 +38,9 @@ from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.route import route_to
 from ursnav_torch.files import write_json
-from ursnav_torch.geometry import look_along, transform_from
+from ursnav_torch.geometry import transform_from
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, Rehearsed
-from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
-from ursnav_torch.simulation import Scope, Twin
+from ursnav_torch.simulation import SimulatedTime, Twin
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
@@ -51,15 +51,13 @@ Array = NDArray[np.float64]
 ROOMS = ("autonomy", "exploration", "navigation", "simulation", "tracking")
 TRUE, TRACKED = "true", "tracked"
 SETTINGS = {
-    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0, "breathing_mm": 1.0,
-    "rate_hz": 15.0, "work": "", "set": "", "only": "", "out": "",
+    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0,
+    "tissue": "breathing", "rate_hz": 15.0, "work": "", "set": "", "only": "", "out": "",
 }  # fmt: skip
 #: Noise of places that stand for a tracker's: mm and degrees, each axis.
 NOISE_MM, NOISE_DEG = 0.3, 1.5
-#: A shaft compressed by more pushes against a wall by force, mm; breaths a second of a ventilated patient.
-FORCED_MM, BREATH_HZ = 0.5, 0.25
-#: The stone lies so far before the tip of its calyx, or as far as the calyx's own branch goes, mm.
-STONE_MM = 9.0
+#: A shaft compressed by more pushes against a wall by force, mm.
+FORCED_MM = 0.5
 #: A tip so near to the stone's surface pushes against it, mm: what is kept off, and the breath.
 AT_STONE_MM = 1.8
 
@@ -87,7 +85,7 @@ def explored(case: Case, settings: dict[str, Any], work: Path) -> dict[str, Any]
     """What exploring one phantom brought; from the work folder where the same was done already."""
     careful = tried(settings["set"])
     key = sources(ROOMS) + repr(
-        [case, careful, *(settings[k] for k in ("views", "pose", "seconds", "breathing_mm", "rate_hz"))]
+        [case, careful, *(settings[k] for k in ("views", "pose", "seconds", "tissue", "rate_hz"))]
     )
     path = work / "explored" / f"{case.kidney}_{hashlib.sha256(key.encode()).hexdigest()[:8]}.json"
     if not path.exists():
@@ -115,23 +113,12 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
     stone, blocked = stone_in(vid, rng)
     own, truth = (Coverage(kidney, vid.camera, lumen, vid.T_kidney_camera[::2]) for _ in range(2))
     explorer = Explorer(own, lumen, careful)
-    scope = Scope(backlash=(*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0)), compression_mm=2.0)
-    faults = severity(PRESETS[case.kind], 0.2, rng)
-    renderer, drawn = RaycastRenderer(kidney.mesh, vid.camera), np.random.default_rng([case.seed, 22])
-    breath = rng.standard_normal(3)
-    breath *= settings["breathing_mm"] / np.linalg.norm(breath)
-    clock = [0.0]
+    clock = SimulatedTime()
+    twin = twin_in(case, vid, rng, clock, stone, tissue_of(settings["tissue"]))
     start = kidney.centerline.points_mm[0]
-    twin = Twin(
-        lambda p: np.minimum(lumen.clearance_mm(p), np.linalg.norm(p - stone[:3], axis=1) - stone[3]),
-        lambda T: simulate(renderer, T, faults, drawn),
-        look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi))),
-        scope,
-        breathing=lambda: breath * np.sin(2 * np.pi * BREATH_HZ * clock[0]),
-    )
-    locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid, clock)
-    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], leads_in=settings["pose"] == TRACKED)
-    clock_of(rehearsal, clock)
+    locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid)
+    leads_in = settings["pose"] == TRACKED
+    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], leads_in=leads_in, clock=clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
     tour = Tour(kidney, careful.standoff_mm)
@@ -158,28 +145,6 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
     }  # fmt: skip
 
 
-def clock_of(rehearsal: Rehearsal, clock: list[float]) -> None:
-    """Let the breath go by the rehearsal's clock."""
-    twin_pose = rehearsal.twin.pose
-
-    def pose() -> Array:
-        clock[0] = rehearsal.now_s
-        return twin_pose()
-
-    rehearsal.twin.pose = pose  # type: ignore[method-assign]
-
-
-def stone_in(vid: Vid, rng: np.random.Generator) -> tuple[Array, int]:
-    """A stone (x, y, z, radius) that closes the own branch of a calyx, and which calyx."""
-    tree = vid.kidney.centerline
-    calyx = int(rng.integers(len(vid.kidney.calyces)))
-    path = tree.path_to(calyx)
-    own = path[tree.calyx[path] == calyx]
-    to_tip = tree.from_root_mm()[own[-1]] - tree.from_root_mm()[own]
-    at = own[int(np.abs(to_tip - STONE_MM).argmin())]
-    return np.array([*tree.points_mm[at], tree.radius_mm[at] + 0.2]), calyx
-
-
 def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], PictureAnswer]:
     """True places with noise."""
 
@@ -191,7 +156,7 @@ def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], PictureAnsw
     return locate
 
 
-def tracker_of(vid: Vid, clock: list[float]) -> Callable[[Twin, float], PictureAnswer]:
+def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
     """Places from the pictures, by the tracker as it runs live, with what the robot reports."""
     tracker = Tracker(vid)
 

@@ -17,14 +17,12 @@ from ursnav_torch.devices.robots.safety import ARMED
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.navigation.autopilot import Autopilot
 from ursnav_torch.session.control import Control
-from ursnav_torch.simulation import SteppedRobot, Twin, TwinPilot
+from ursnav_torch.simulation import SimulatedTime, SteppedRobot, Twin, TwinPilot
 
 Array = NDArray[np.float64]
 
 #: Cycles of control a second, as live.
 CONTROL_HZ = 50
-#: From a picture to its answer, s: what live tracking is to keep.
-LATENCY_S = 0.13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +107,7 @@ class Rehearsal:
         pictures_per_s: rate of the camera.
         holds: whether the dead-man button is held at a time.
         leads_in: whether a pilot first steers into a calyx, where a tracker finds its place.
+        clock: the time, which this moves on; by which the twin breathes, too.
     """
 
     def __init__(
@@ -119,21 +118,27 @@ class Rehearsal:
         pictures_per_s: float = 15.0,
         holds: Callable[[float], bool] = lambda t_s: True,
         leads_in: bool = False,
+        clock: SimulatedTime | None = None,
     ) -> None:
         self.twin, self.explorer, self._locate = twin, explorer, locate
         self._period_s = 1 / pictures_per_s
-        self.now_s = 0.0
-        self.robot = SteppedRobot(lambda: self.now_s, twin.scope.drive)
+        self._clock = clock or SimulatedTime()
+        self.robot = SteppedRobot(self._clock, twin.scope.drive)
         twin.drive_with(self.robot.axes_mm)
-        operator: Gamepad = SimulatedOperator(lambda: self.now_s, holds)
+        operator: Gamepad = SimulatedOperator(self._clock, holds)
         if leads_in:
-            operator = TwinPilot(twin, explorer.kidney, clock=lambda: self.now_s)
+            operator = TwinPilot(twin, explorer.kidney, clock=self._clock)
             operator.hands_over = True
         self.autopilot = Autopilot(operator, self.robot, explorer, self._perceive)
         self._control = Control(self.robot, self.autopilot)
         self._coming: deque[tuple[float, float, PictureAnswer]] = deque()
         self._newest: tuple[float, PictureAnswer] = (0.0, PictureAnswer(None))
         self._painted_s, self._due_s = 0.0, 0.0
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time."""
+        return self._clock.now_s
 
     def run(self, longest_s: float = 600.0, truth: Coverage | None = None) -> Rehearsed:
         """Explore until there is nothing left to do, or for so long; ``truth`` is painted from the true poses."""
@@ -151,7 +156,7 @@ class Rehearsal:
                 if self.now_s >= self._due_s:
                     self._take(found, T, pressed, truth)
                     pressed = 0.0
-                self.now_s += 1 / CONTROL_HZ
+                self._clock.now_s += 1 / CONTROL_HZ
         return found
 
     def _count(self, found: Rehearsed) -> None:
@@ -166,7 +171,7 @@ class Rehearsal:
         """A picture is taken; its answer is on its way."""
         self._due_s += self._period_s
         sighting = self._locate(self.twin, self.now_s)
-        self._coming.append((self.now_s + LATENCY_S, self.now_s, sighting))
+        self._coming.append((self.now_s + self._clock.answer_s, self.now_s, sighting))
         if sighting.T_kidney_camera is not None:
             found.off_mm.append(float(np.linalg.norm(sighting.T_kidney_camera[:3, 3] - T[:3, 3])))
         at = self.robot.drive.joints(self.robot.axes_mm())

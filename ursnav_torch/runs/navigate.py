@@ -66,7 +66,12 @@ def navigate_vid(
     navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s), known_stones=known_stones)
 
     def world() -> World:
-        return World(vid.kidney, make_renderer(vid.kidney.mesh, vid.camera), vid.lumen)
+        return World(
+            vid.kidney,
+            make_renderer(vid.kidney.mesh, vid.camera),
+            vid.lumen,
+            redraw=lambda mesh: make_renderer(mesh, vid.camera),
+        )
 
     found = run_navigation(navigator, hardware, world, recorder, duration_s, page, autonomy)
     watch = navigator.guide.watch

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from ursnav_torch.devices import OperatorInput
 from ursnav_torch.errors import InputError
@@ -92,7 +93,8 @@ def rehearse(
     """
     if world is None:
         raise InputError("A simulated scope needs a kidney to be in; start from navigate vid=... hardware=rehearsed.")
-    clock, the_world = SimulatedTime(answer_s=answer_s), world()
+    clock = SimulatedTime(answer_s=answer_s)
+    the_world = replace(world(), clock=clock)
     made = twin(the_world)
     robot = SteppedRobot(clock, made.scope.drive)
     made.drive_with(robot.axes_mm)

@@ -11,10 +11,12 @@ from ursnav_torch.simulation.simulated import (
     make_twin,
 )
 from ursnav_torch.simulation.stepped import SimulatedTime, SteppedCamera, SteppedRobot
+from ursnav_torch.simulation.tissue import CALM, Tissue, TissueSettings, draw_tissue
 from ursnav_torch.simulation.twin import Scope, Twin
 from ursnav_torch.simulation.world import World
 
 __all__ = [
+    "CALM",
     "EmField",
     "Scope",
     "SimulatedGrblRobot",
@@ -24,9 +26,12 @@ __all__ = [
     "SimulatedTime",
     "SteppedCamera",
     "SteppedRobot",
+    "Tissue",
+    "TissueSettings",
     "Twin",
     "TwinCamera",
     "TwinPilot",
     "World",
+    "draw_tissue",
     "make_twin",
 ]

@@ -15,8 +15,10 @@ from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, REACH_STR
 from ursnav_torch.extras import import_extra
 from ursnav_torch.geometry import look_along
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.simulation.stepped import SteppedRobot
-from ursnav_torch.simulation.twin import Scope, Twin
+from ursnav_torch.simulation.stepped import SimulatedTime, SteppedRobot
+from ursnav_torch.simulation.tissue import Tissue, TissueSettings
+from ursnav_torch.simulation.twin import Scope
+from ursnav_torch.simulation.world import World, operated_twin
 from ursnav_torch.vid import Vid
 
 gymnasium = import_extra("gymnasium", "gym", "The twin as an environment")
@@ -42,13 +44,14 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
     Args:
         vid: kidney, lens, and the views that tell what is within reach.
         seconds: an episode is cut off after so much simulated time.
-        breathing_mm: amplitude by which walls move past the scope.
+        tissue: what an operation does to kidney and scope; without it, it only breathes.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / (CYCLES * CYCLE_S))}  # noqa: RUF012
 
-    def __init__(self, vid: Vid, seconds: float = 300.0, breathing_mm: float = 1.0) -> None:
-        self.vid, self._longest_s, self._breathing_mm = vid, seconds, breathing_mm
+    def __init__(self, vid: Vid, seconds: float = 300.0, tissue: TissueSettings | None = None) -> None:
+        self.vid, self._longest_s = vid, seconds
+        self._tissue = tissue or TissueSettings(swells=False, bleeds=False, buckles=False)
         self.render_mode = "rgb_array"
         self._renderer = RaycastRenderer(vid.kidney.mesh, vid.camera)
         self._clean = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::REACH_STRIDE])
@@ -60,28 +63,28 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
             joints=box(-reach, reach, (3,), np.float64),
             seen=box(0.0, 1.0, (count,), np.float64),
         )
-        self.now_s = 0.0
+        self._clock = SimulatedTime()
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time since the episode began."""
+        return self._clock.now_s
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin anew, withdrawn in the pelvis; the seed draws roll, plays and breath."""
+        """Begin anew, withdrawn in the pelvis; the seed draws roll, plays and tissue."""
         super().reset(seed=seed)
         rng, kidney = self.np_random, self.vid.kidney
-        self.now_s, self.coverage = 0.0, self._clean
+        self._clock, self.coverage = SimulatedTime(), self._clean
         self.coverage.seen_s[:] = 0.0
-        breath = rng.standard_normal(3)
-        breath *= self._breathing_mm / np.linalg.norm(breath)
         start = kidney.centerline.points_mm[0]
         plays = (*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0))
-        self.twin = Twin(
-            self.vid.lumen.clearance_mm,
-            lambda T: self._renderer.render(T).image,
-            look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi))),
-            Scope(backlash=plays),
-            breathing=lambda: breath * np.sin(0.5 * np.pi * self.now_s),
+        T_kidney_start = look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi)))
+        self.twin = operated_twin(
+            self._world(), T_kidney_start, Scope(backlash=plays), Tissue(self._tissue, rng, kidney.scale)
         )
-        self.robot = SteppedRobot(lambda: self.now_s, self.twin.scope.drive)
+        self.robot = SteppedRobot(self._clock, self.twin.scope.drive)
         self.robot.connect()
         self.robot.arm()
         self.twin.drive_with(self.robot.axes_mm)
@@ -95,7 +98,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         before, pressed = self._shares().sum(), 0.0
         for _ in range(CYCLES):
             self.robot.command(wanted, dead_man=True)
-            self.now_s += CYCLE_S
+            self._clock.now_s += CYCLE_S
             T = self.twin.pose()
             pressed = max(pressed, self.twin.pressed_mm)
         self.robot.read()
@@ -113,6 +116,12 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
     def close(self) -> None:
         """Disconnect the robot."""
         self.robot.disconnect()
+
+    def _world(self) -> World:
+        camera = self.vid.camera
+        return World(
+            self.vid.kidney, self._renderer, self.vid.lumen, lambda mesh: RaycastRenderer(mesh, camera), self._clock
+        )
 
     def _shares(self) -> Array:
         return np.array([c.share for c in self.coverage.calyces()])

@@ -1,27 +1,24 @@
 """The simulated devices: the real drivers, each with its counterpart behind a pseudo-terminal or socket."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ursnav_torch.devices import Frame, GrblRobot, NdiTracker, OpenIgtlTracker, RobotSample, RosserialRobot
 from ursnav_torch.devices.cameras import LensCamera
 from ursnav_torch.errors import DeviceTimeoutError, InputError
-from ursnav_torch.geometry import Array, look_along
-from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.rendering import Renderer
+from ursnav_torch.geometry import look_along
 from ursnav_torch.simulation.em_field import EmField
 from ursnav_torch.simulation.grbl_board import GrblBoard
 from ursnav_torch.simulation.igtl_tracker import SimulatedIgtlTracker
 from ursnav_torch.simulation.ndi_unit import NdiUnit
 from ursnav_torch.simulation.port import SimulatedPort
 from ursnav_torch.simulation.rosserial_board import RosserialBoard
+from ursnav_torch.simulation.tissue import TissueSettings, draw_tissue
 from ursnav_torch.simulation.twin import Scope, Twin
-from ursnav_torch.simulation.world import World
+from ursnav_torch.simulation.world import Draw, World, operated_twin
 
 
 def make_twin(
@@ -30,6 +27,7 @@ def make_twin(
     em: EmField | None = None,
     sensor: str | None = None,
     seed: int = 0,
+    tissue: TissueSettings | None = None,
 ) -> Twin:
     """A scope that lies withdrawn in a kidney's pelvis and looks to the middle of its calyces.
 
@@ -39,26 +37,28 @@ def make_twin(
         em: the EM tracker's world.
         sensor: preset of what spoils its pictures (``thesis_simulation``, ``thesis_phantom``, ``in_vivo_like``); None
             for clean ones, gray.
-        seed: of the faults.
+        seed: of the faults, and of the tissue.
+        tissue: what an operation does to the kidney: breath, swelling, bleeding, a shaft that buckles; None for
+            nothing.
 
     Raises:
         InputError: an unknown preset, or the root of the centerline lies in a wall.
     """
     start = world.kidney.centerline.points_mm[0]
     T_kidney_start = look_along(start, world.kidney.tips_mm.mean(axis=0) - start)
-    clearance_mm = (world.lumen or LumenDistance.from_kidney(world.kidney)).clearance_mm
-    return Twin(clearance_mm, _picture(world.renderer, sensor, seed), T_kidney_start, scope, em)
+    drawn = draw_tissue(tissue, [seed, 1], world.kidney.scale)
+    return operated_twin(world, T_kidney_start, scope, drawn, em, _faulty(sensor, seed))
 
 
-def _picture(renderer: Renderer, sensor: str | None, seed: int) -> Callable[[Array], NDArray[np.uint8]]:
-    """What the scope's camera shows from a pose (4, 4)."""
+def _faulty(sensor: str | None, seed: int) -> Draw:
+    """What spoils the pictures of a preset; clean ones without."""
     if sensor is None:
-        return lambda T_kidney_camera: renderer.render(T_kidney_camera).image
+        return lambda renderer, T: renderer.render(T).image
     from ursnav_torch.rendering.sensor import severity, simulate  # brings torch, for which a lab need not wait
 
     rng = np.random.default_rng(seed)
     faults = severity(sensor, 0.5, rng)
-    return lambda T_kidney_camera: simulate(renderer, T_kidney_camera, faults, rng)
+    return lambda renderer, T: simulate(renderer, T, faults, rng)
 
 
 class TwinCamera(LensCamera):

@@ -31,15 +31,21 @@ class Scope:
             stretch and the lumen was drawn at rest.
         backlash: width of the drive's plays, for cable x, cable y and slider, in mm of the axis.
         compression_mm: how far the shaft gives way before pushing against a wall moves nothing any more.
+        friction: a shaft that is pushed round a bend of the tip buckles: of what is pushed, 1 - exp(-friction x bend)
+            goes into a loop in the pelvis (the belt equation, Euler and Eytelwein), and comes out of it first as it
+            is pulled; 0 for none.
+        loop_mm: what such a loop takes at most; no published figure found.
 
     Raises:
-        InputError: the distance is not positive, a play or the compression is negative.
+        InputError: the distance is not positive, a play, the compression, friction or loop is negative.
     """
 
     drive: Drive = field(default_factory=Drive)
     keep_off_mm: float = 0.6
     backlash: tuple[float, float, float] = (0.06, 0.06, 0.2)
     compression_mm: float = 2.0
+    friction: float = 0.0
+    loop_mm: float = 6.0
 
     def __post_init__(self) -> None:
         if not self.keep_off_mm > 0 or min(self.backlash) < 0 or self.compression_mm < 0:
@@ -47,6 +53,8 @@ class Scope:
                 f"A scope needs keep_off_mm > 0, backlash and compression_mm >= 0; got {self.keep_off_mm}, "
                 f"{self.backlash}, {self.compression_mm}."
             )
+        if self.friction < 0 or self.loop_mm < 0:
+            raise InputError(f"A scope needs friction and loop_mm >= 0; got {self.friction} and {self.loop_mm}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +119,7 @@ class Twin:
             )
         self._trail = [Mark(0.0, start, np.zeros(2))]
         self._T_kidney_tip, self._bend = start, np.zeros(2)
-        self._insertion, self._shift, self._pressed = 0.0, 0.0, 0.0
+        self._insertion, self._shift, self._pressed, self._loop = 0.0, 0.0, 0.0, 0.0
         self._hysteresis = Hysteresis(self.scope.backlash)
         self._last_axes = np.zeros(3)
         self._axes: Callable[[], Array] = lambda: np.zeros(3)
@@ -142,6 +150,11 @@ class Twin:
     def insertion_mm(self) -> float:
         """How far the shaft has truly gone in."""
         return self._insertion
+
+    @property
+    def loop_mm(self) -> float:
+        """What of the shaft that was pushed lies in a loop, as it buckled."""
+        return self._loop
 
     @property
     def pressed_mm(self) -> float:
@@ -200,13 +213,22 @@ class Twin:
 
     def _insert_to(self, slider_mm: float) -> None:
         """Push or pull the shaft; a blocked one is compressed a little, then slips in the slider's grip."""
-        missing = slider_mm - self._shift - self._insertion
+        missing = self._buckled(slider_mm - self._shift - self._insertion - self._loop)
         step = float(np.clip(missing, -LARGEST_STEP_MM, LARGEST_STEP_MM))
         moved = self._push(step) if step > 0 else self._pull(step)
         self._insertion += moved
         left = missing - moved
         self._pressed = float(np.clip(left, -self.scope.compression_mm, self.scope.compression_mm))
         self._shift += left - self._pressed
+
+    def _buckled(self, missing: float) -> float:
+        """What is left of a push once a bent shaft has buckled, and of a pull once its loop is straight again."""
+        lost = max(missing, -self._loop)
+        if missing > 0:
+            share = 1 - np.exp(-self.scope.friction * float(np.hypot(*self._bend)))
+            lost = min(float(share) * missing, self.scope.loop_mm - self._loop)
+        self._loop += lost
+        return missing - lost
 
     def _push(self, step: float) -> float:
         """Advance on the present curve, as the shaft follows where the tip leads; returns the way made."""
