@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.autonomy import ASSIST, AutonomySettings, Explorer, Perception, Permission, Wish
-from ursnav_torch.devices import Gamepad, OperatorInput, Robot
+from ursnav_torch.devices import Gamepad, Limits, OperatorInput, Robot
 from ursnav_torch.devices.robots.safety import ARMED, STOPPED
 from ursnav_torch.errors import InputError
 from ursnav_torch.navigation.navigator import Navigator
@@ -74,12 +74,8 @@ class Autopilot(Gamepad):
         return self._added(own, wish, assists)
 
     def _added(self, own: OperatorInput, wish: Wish, assists: bool) -> OperatorInput:
-        """The wish as stick deflections; a bend's direction is kept where it would be too fast."""
-        limits = self.robot.limits
-        bend = wish.bend_rad_s / limits.max_bend_rate_rad_s
-        bend = bend / max(1.0, float(np.hypot(*bend)))
-        push = float(np.clip(wish.insertion_mm_s / limits.max_insertion_rate_mm_s, -1.0, 1.0))
-        return replace(own, bend_x=float(bend[0]), bend_y=float(bend[1]), insertion=own.insertion if assists else push)
+        bend_x, bend_y, push = sticks_of(wish, self.robot.limits)
+        return replace(own, bend_x=bend_x, bend_y=bend_y, insertion=own.insertion if assists else push)
 
     def _open(self) -> None:
         self.hands.connect()
@@ -119,6 +115,14 @@ def make_autopilot(
         )
 
     return Autopilot(hands, rig.robot, explorer, perceive, navigator.say_autonomy, quits)
+
+
+def sticks_of(wish: Wish, limits: Limits) -> tuple[float, float, float]:
+    """A wish as stick deflections of bend about x and y, and insertion; a bend that is too fast keeps its direction."""
+    bend = wish.bend_rad_s / limits.max_bend_rate_rad_s
+    bend = bend / max(1.0, float(np.hypot(*bend)))
+    push = float(np.clip(wish.insertion_mm_s / limits.max_insertion_rate_mm_s, -1.0, 1.0))
+    return float(bend[0]), float(bend[1]), push
 
 
 class Late:
