@@ -169,7 +169,7 @@ def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
         sure = tracked.certainty
         calyces = () if sure is None else tuple(c for c in sure.calyces if c >= 0)
         sd = None if sure is None else sure.position_sd_mm
-        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled)
+        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled, tracker.slider_play_mm)
 
     return locate
 

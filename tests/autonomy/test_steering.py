@@ -71,6 +71,23 @@ def test_a_wall_that_faces_the_scope_is_not_gone_into_and_along_one_it_creeps(ph
     assert 0.2 < steering.freedom(look_along(near, slanted), 0.8) < 0.5
 
 
+def test_along_a_wall_it_creeps_no_nearer_than_it_may_touch(phantom, phantom_lumen, steering):
+    way = Way(phantom, 5)
+    careful = replace(steering, settings=replace(steering.settings, touch_mm=0.7))
+    across = np.cross(way.point_at(6.0) - way.point_at(3.0), [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    places = way.point_at(3.0) + np.arange(0.0, 9.0, 0.02)[:, None] * across
+    told = []
+    for room in (1.2, 0.5):
+        place = places[np.flatnonzero(phantom_lumen.clearance_mm(places) < room)[0]]
+        around = phantom_lumen.clearance_mm(np.concatenate([place + 0.3 * np.eye(3), place - 0.3 * np.eye(3)]))
+        to_wall = (around[3:] - around[:3]) / np.linalg.norm(around[3:] - around[:3])
+        along = np.cross(to_wall, [0.0, 0.0, 1.0])
+        T = look_along(place, along / np.linalg.norm(along) + 0.04 * to_wall)
+        told.append((steering.freedom(T, 0.8), careful.freedom(T, 0.8)))
+    assert told[0][1] == told[0][0] > 0 and told[1][0] > 0 == told[1][1], told
+
+
 def test_retreating_and_withdrawing_pull(phantom, steering):
     way = Way(phantom, 2)
     assert steering.retreat(SEEN, on_the_way(way, 10.0), way).insertion_mm_s < 0

@@ -1,5 +1,7 @@
 """The account: what was tried, what was in the way, and what was seen are three things, and it says each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import HELD, later
@@ -117,3 +119,30 @@ def test_an_exploration_that_is_cut_off_is_accounted_for_and_can_still_go_on(exp
     assert {v.verdict for v in explorer.visits} == {"open"}
     explorer.step(later(seen, 0.1), HELD)
     assert explorer.machine.state is State.APPROACHING
+
+
+@pytest.mark.parametrize(("slack_mm", "expected"), [(None, 1.2), (0.2, 0.2), (2.0, 2.0)])
+def test_resistance_counts_from_where_the_sliders_play_ends_as_it_was_learned(explorer, at_root, slack_mm, expected):
+    seen = begin(explorer, replace(at_root, slack_mm=slack_mm))
+    first = seen.insertion_mm
+    while explorer.machine.state is State.APPROACHING:
+        seen = later(seen, 0.02, insertion_mm=seen.insertion_mm + 0.05)
+        explorer.step(seen, HELD)
+    assert explorer.machine.state is State.BACKING_OFF and explorer.machine.reason.startswith("meets resistance")
+    assert seen.insertion_mm - first == pytest.approx(expected + explorer.settings.resistance_mm, abs=0.06)
+
+
+@pytest.mark.parametrize("state", [State.APPROACHING, State.INSPECTING])
+def test_a_picture_that_is_too_bright_means_that_the_wall_is_near_and_it_backs_off(explorer, at_root, state):
+    seen = begin(explorer, at_root)
+    if state is State.INSPECTING:
+        T = seen.T_kidney_camera.copy()
+        T[:3, 3] = explorer._ways[explorer.target].points_mm[-3]
+        while explorer.machine.state is not state:
+            seen = later(seen, 0.1, T_kidney_camera=T)
+            explorer.step(seen, HELD)
+    explorer.step(later(seen, 0.02, glare=0.45), HELD)
+    assert explorer.machine.state is state, "bright, but something is to be seen"
+    wish = explorer.step(later(seen, 0.04, glare=0.6), HELD)
+    assert explorer.machine.state is State.BACKING_OFF and "too bright" in explorer.machine.reason
+    assert wish.insertion_mm_s < 0, "back"

@@ -34,7 +34,7 @@ def test_the_width_of_a_play_is_learned_from_what_is_seen() -> None:
     for motor in np.concatenate([np.arange(0, 6, 0.5), np.arange(6, 0, -0.5), np.arange(0, 6, 0.5)]):
         bank.step(motor)
         bank.learn(true.step(motor)[0], 0.1, 0.99)
-    assert bank.weight()[2] > 0.9
+    assert bank.weight()[2] > 0.9 and bank.width() == pytest.approx(2.0, abs=0.3)
 
 
 def test_plays_that_disagree_leave_the_motion_unsure() -> None:

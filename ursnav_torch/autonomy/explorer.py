@@ -236,9 +236,8 @@ class Explorer:
         self._place, self._place_s = T[:3, 3], seen.seen_s
         self._best_mm, self._best_s = self._ways[self.target].place_mm(T[:3, 3]), seen.t_s
         self._mark = T[:3, 3]
-        self._pushed_from = (
-            seen.insertion_mm + self.settings.slack_mm
-        )  # it came by pulling: the slider turns round first
+        slack = self.settings.slack_mm if seen.slack_mm is None else seen.slack_mm
+        self._pushed_from = seen.insertion_mm + slack  # it came by pulling: the slider turns round first
         self._to(State.APPROACHING, seen, f"into calyx {self.visits[self.target].calyx}")
 
     def _approach(self, seen: Perception, T: Array) -> Wish:

@@ -20,6 +20,7 @@ class Perception:
         position_sd_mm: how far off the position may be, two of three times; None where nobody says.
         bend_rad: (2,) the bend about x and y that the robot reports.
         insertion_mm: the insertion that it reports.
+        slack_mm: play of the robot's slider, learned from pictures; None where nobody says.
         glare: share of the newest picture that is too bright to show anything.
     """
 
@@ -30,6 +31,7 @@ class Perception:
     position_sd_mm: float | None = None
     bend_rad: Array = field(default_factory=lambda: np.zeros(2))
     insertion_mm: float = 0.0
+    slack_mm: float | None = None
     glare: float = 0.0
 
 

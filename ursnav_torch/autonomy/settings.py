@@ -27,7 +27,8 @@ class AutonomySettings:
         look_s: how long it stands and looks before it withdraws.
         withdraw_mm: how far it withdraws before it looks again.
         withdrawals: after so many in a row without a place it gives up.
-        slack_mm: the slider's play: so far it turns round before the shaft follows.
+        slack_mm: the slider's play, so far it turns round before the shaft follows, where nobody has learned it.
+        touch_mm: nearer to a wall ahead than this it does not creep on.
         resistance_mm: pushed this far without getting on, it meets resistance.
         back_off_mm: how far it backs off then.
         attempts: ways into a calyx that are tried before it counts as not reached.
@@ -54,6 +55,7 @@ class AutonomySettings:
     withdraw_mm: float = 4.0
     withdrawals: int = 8
     slack_mm: float = 1.2
+    touch_mm: float = 0.0
     resistance_mm: float = 1.0
     back_off_mm: float = 1.5
     attempts: int = 3

@@ -130,7 +130,7 @@ class Steering:
         if there >= here:  # whoever gets away from the wall may
             return 1.0
         facing = (here - there) / step  # the cosine of the angle between the axis and the wall's normal
-        least = _CREEP if facing < _FACING else 0.0
+        least = _CREEP if facing < _FACING and there > self.settings.touch_mm else 0.0
         return float(np.clip((there - kept_mm) / max(kept_mm, 1e-9), least, 1.0))
 
     @staticmethod

@@ -111,6 +111,7 @@ def make_autopilot(
             state.position_sd_mm,
             np.array([at.bend_x_rad, at.bend_y_rad]),
             at.insertion_mm,
+            state.slack_mm,
             glare_share(frame.image) if frame is not None else 0.0,
         )
 

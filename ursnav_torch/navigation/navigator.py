@@ -265,6 +265,7 @@ class Navigator:
                     state,
                     frame=job.frame,
                     **_shown(seen.features, tracked),
+                    slack_mm=self.tracker.slider_play_mm,
                     tracking=tracked.state,
                     T_kidney_camera=T,
                     calyx=self.vid.calyx_name(tracked.calyx) if certain else "",

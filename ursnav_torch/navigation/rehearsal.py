@@ -34,12 +34,14 @@ class PictureAnswer:
         calyces: indices of the calyces that it may show.
         position_sd_mm: how far off it may be; None where nobody says.
         settled: whether the wall seen may be counted.
+        slack_mm: the slider's play as it was learned; None where nobody says.
     """
 
     T_kidney_camera: Array | None
     calyces: tuple[int, ...] = ()
     position_sd_mm: float | None = None
     settled: bool = True
+    slack_mm: float | None = None
 
 
 #: Makes a sighting of the scope as it is at a time, s.
@@ -205,4 +207,5 @@ class Rehearsal:
             sighting.position_sd_mm,
             np.array([at.bend_x_rad, at.bend_y_rad]),
             at.insertion_mm,
+            sighting.slack_mm,
         )

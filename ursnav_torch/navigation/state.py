@@ -72,6 +72,7 @@ class NavigationState:
         calyces: names of those that it may be, the observed one first.
         confidence: probability that this is right.
         position_sd_mm: two of three errors in position are within this; None unless tracking.
+        slack_mm: play of the robot's slider, learned; None without a robot.
         places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses.
         bodies: stones and instruments found in the picture.
         guidance: coverage and route.
@@ -95,6 +96,7 @@ class NavigationState:
     calyces: tuple[str, ...] = ()
     confidence: float = 0.0
     position_sd_mm: float | None = None
+    slack_mm: float | None = None
     places: Array = field(default_factory=lambda: np.zeros((0, 4)))
     bodies: tuple[ForegroundBody, ...] = ()
     guidance: Guidance = field(default_factory=Guidance)

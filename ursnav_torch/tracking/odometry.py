@@ -125,6 +125,10 @@ class PlayBank:
         mean = float(weight @ self._last)
         return mean, float(np.sqrt(weight @ (self._last - mean) ** 2))
 
+    def width(self) -> float:
+        """The play's expected width."""
+        return float(2 * self.weight() @ self._half)
+
     def weight(self) -> Array:
         """(M,) probabilities."""
         w = np.exp(self._log_weight - self._log_weight.max())

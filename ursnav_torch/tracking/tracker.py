@@ -141,6 +141,11 @@ class Tracker:
         views = self._filter.search
         return f"{self.settings} {views.settings} {views.matching} {self._full_refinement}"
 
+    @property
+    def slider_play_mm(self) -> float | None:
+        """Width of the slider's play as pictures have shown it; None where no robot tells where it stands."""
+        return None if self._told_s is None else self._odometry.insertion.width()
+
     def ease(self, level: int) -> None:
         """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.
 
