@@ -40,7 +40,7 @@ from ursnav_torch.exploration.route import route_to
 from ursnav_torch.files import write_json
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, Rehearsed
-from ursnav_torch.simulation import SimulatedTime, Twin
+from ursnav_torch.simulation import SimulatedTime, Twin, TwinPilot
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
@@ -117,8 +117,11 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
     twin = twin_in(case, vid, rng, clock, stone, tissue_of(settings["tissue"]))
     start = kidney.centerline.points_mm[0]
     locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid)
-    leads_in = settings["pose"] == TRACKED
-    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], leads_in=leads_in, clock=clock)
+    operator = None
+    if settings["pose"] == TRACKED:  # a person leads in, to where the tracker finds its place
+        operator = TwinPilot(twin, kidney, clock=clock)
+        operator.hands_over = True
+    rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], operator, clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
     tour = Tour(kidney, careful.standoff_mm)

@@ -6,16 +6,20 @@ import pytest
 from ursnav_torch.autonomy import Explorer, State
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.geometry import look_along
-from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal
-from ursnav_torch.simulation import Twin
+from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, SimulatedOperator
+from ursnav_torch.simulation import SimulatedTime, Twin
 
 
-def rehearsal(phantom, phantom_lumen, lens, vid, **changes):
+def rehearsal(phantom, phantom_lumen, lens, vid, holds=lambda t_s: True):
     start = phantom.centerline.points_mm[0]
     T = look_along(start, phantom.tips_mm.mean(axis=0) - start)
     twin = Twin(phantom_lumen.clearance_mm, lambda T: np.zeros((1, 1), np.uint8), T)
     explorer = Explorer(Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2]), phantom_lumen)
-    return Rehearsal(twin, explorer, lambda twin, t_s: PictureAnswer(twin.pose().copy()), **changes)
+    clock = SimulatedTime()
+    operator = SimulatedOperator(clock, holds)
+    return Rehearsal(
+        twin, explorer, lambda twin, t_s: PictureAnswer(twin.pose().copy()), operator=operator, clock=clock
+    )
 
 
 @pytest.fixture

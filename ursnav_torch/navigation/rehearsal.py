@@ -17,7 +17,7 @@ from ursnav_torch.devices.robots.safety import ARMED
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.navigation.autopilot import Autopilot
 from ursnav_torch.session.control import Control
-from ursnav_torch.simulation import SimulatedTime, SteppedRobot, Twin, TwinPilot
+from ursnav_torch.simulation import SimulatedTime, SteppedRobot, Twin
 
 Array = NDArray[np.float64]
 
@@ -107,8 +107,7 @@ class Rehearsal:
         explorer: what goes where; its coverage is painted from here.
         locate: makes a sighting of a picture.
         pictures_per_s: rate of the camera.
-        holds: whether the dead-man button is held at a time.
-        leads_in: whether a pilot first steers into a calyx, where a tracker finds its place.
+        operator: whose hand is on the dead-man button; one that never lets go without it.
         clock: the time, which this moves on; by which the twin breathes, too.
     """
 
@@ -118,8 +117,7 @@ class Rehearsal:
         explorer: Explorer,
         locate: Locate,
         pictures_per_s: float = 15.0,
-        holds: Callable[[float], bool] = lambda t_s: True,
-        leads_in: bool = False,
+        operator: Gamepad | None = None,
         clock: SimulatedTime | None = None,
     ) -> None:
         self.twin, self.explorer, self._locate = twin, explorer, locate
@@ -127,11 +125,8 @@ class Rehearsal:
         self._clock = clock or SimulatedTime()
         self.robot = SteppedRobot(self._clock, twin.scope.drive)
         twin.drive_with(self.robot.axes_mm)
-        operator: Gamepad = SimulatedOperator(self._clock, holds)
-        if leads_in:
-            operator = TwinPilot(twin, explorer.kidney, clock=self._clock)
-            operator.hands_over = True
-        self.autopilot = Autopilot(operator, self.robot, explorer, self._perceive)
+        hands = operator or SimulatedOperator(self._clock)
+        self.autopilot = Autopilot(hands, self.robot, explorer, self._perceive)
         self._control = Control(self.robot, self.autopilot)
         self._coming: deque[tuple[float, float, PictureAnswer]] = deque()
         self._newest: tuple[float, PictureAnswer] = (0.0, PictureAnswer(None))
