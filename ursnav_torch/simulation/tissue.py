@@ -128,7 +128,7 @@ class Tissue:
         return float((self._peaks[on] * risen * washed).max())
 
     def clearance(self, clearance_mm: Callable[[Array], Array], clock: Callable[[], float]) -> Callable[[Array], Array]:
-        """Distances to the wall as it is now, from those to the wall as it was."""
+        """Distances (N,) of points (N, 3) to the wall as it is now, from those to the wall as it was, mm."""
         if not self.settings.swells:
             return clearance_mm
         return lambda points_mm: clearance_mm(points_mm) + self.swollen_mm(clock())
