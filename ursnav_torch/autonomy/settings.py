@@ -28,7 +28,7 @@ class AutonomySettings:
         withdraw_mm: how far it withdraws before it looks again.
         withdrawals: after so many in a row without a place it gives up.
         slack_mm: the slider's play, so far it turns round before the shaft follows, where nobody has learned it.
-        touch_mm: nearer to a wall ahead than this it does not creep on.
+        touch_mm: nearer to a wall ahead than this it does not go on; in a neck, nearer than 0.9 of its radius.
         resistance_mm: pushed this far without getting on, it meets resistance.
         back_off_mm: how far it backs off then.
         attempts: ways into a calyx that are tried before it counts as not reached.

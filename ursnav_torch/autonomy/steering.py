@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 _ASKEW = 0.75
 #: In a neck narrower than the clearance asked for, this part of its radius is kept.
 _NECK_SHARE = 0.6
+#: Where less is kept, as in a neck, it goes on until this many times of it: 0.9 of the neck's radius.
+_NECK_TOUCH = 1.5
 #: A wall whose normal is within 45 degrees of the axis faces the scope; along another it goes on at this part of speed.
 _FACING, _CREEP = 0.7, 0.25
 #: How far the tip bends as it looks about: 25 degrees.
@@ -130,7 +132,9 @@ class Steering:
         if there >= here:  # whoever gets away from the wall may
             return 1.0
         facing = (here - there) / step  # the cosine of the angle between the axis and the wall's normal
-        least = _CREEP if facing < _FACING and there > self.settings.touch_mm else 0.0
+        if there <= min(self.settings.touch_mm, _NECK_TOUCH * kept_mm):
+            return 0.0
+        least = _CREEP if facing < _FACING else 0.0
         return float(np.clip((there - kept_mm) / max(kept_mm, 1e-9), least, 1.0))
 
     @staticmethod
