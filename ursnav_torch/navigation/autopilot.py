@@ -98,7 +98,9 @@ def make_autopilot(
     explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits)
     names = {c.name: i for i, c in enumerate(navigator.vid.kidney.calyces)}
     clock: Callable[[], float] = rig.clock or time.monotonic
-    newest = navigator.bus.latest if rig.clock is None else Late(navigator.bus.latest, rig.clock)
+    newest: Callable[[], NavigationState] = navigator.bus.latest
+    if rig.clock is not None:
+        newest = Late(navigator.bus.latest, rig.clock)
 
     def perceive(robot: Robot) -> Perception:
         state, at = newest(), robot.reported

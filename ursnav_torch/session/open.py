@@ -107,13 +107,13 @@ def _open_replay(replay: Replay, recorder: Recorder | None, player: Player) -> S
 def _open_rig(
     rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack, between: Between | None
 ) -> Session:
-    clock = rig.clock or time.monotonic
+    clock: Callable[[], float] = rig.clock or time.monotonic
     console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched, clock=clock)
     hands: Gamepad = console
     if between is not None:
         hands = between(console, rig, watched)
     rig = stack.enter_context(replace(rig, gamepad=hands))
-    live = Live(rig, duration_s) if rig.clock is None else Stepped(rig, duration_s)
+    live: EventSource = Live(rig, duration_s) if rig.clock is None else Stepped(rig, duration_s)
     keepers = (partial(publish, rig.output),) if rig.output else ()
     return Session(live, SessionControls(live.stop, console, by_itself=between is not None), keepers)
 
