@@ -23,9 +23,9 @@ live: setup
 # Two processes, a file of tests to each in turn: WORKERS=0 runs them in one, to look into a failure.
 WORKERS ?= 2
 # The browser draws the kidney without a graphics card and wants both cores for itself.
-BROWSED := tests/page/test_page_browser.py
+BROWSED := $(wildcard tests/page/test_*_browser.py)
 test: check
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --ignore $(BROWSED)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(addprefix --ignore=,$(BROWSED))
 	$(BIN)/python -m pytest $(BROWSED)
 
 # A site in ursnav_site/; every warning is an error.
