@@ -8,6 +8,9 @@ const STONE = { there: 0xffb52e, gone: 0x9aa5ae };
 const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
 // No picture is drawn wider: without a graphics card the time goes with its pixels.
 const WIDEST_PX = 1200;
+// After a drawing that took longer than two frames the page rests so many times as long from it: without a graphics card
+// words and the scope's pictures come first.
+const REST = 3, TWO_FRAMES_MS = 40;
 // Share of the pane that the kidney fills.
 const FILLED = 0.9;
 
@@ -73,15 +76,22 @@ export async function kidneyView(pane, onCalyx) {
   };
   const empty = (group) => { for (const child of [...group.children]) { child.geometry.dispose(); child.material.dispose(); group.remove(child); } };
 
-  let asked = false;
-  const draw = () => { asked = false; renderer.render(scene, camera); place(); };
-  const ask = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
+  // What the program changes is drawn when the last drawing has cost but a share of the time; what a hand turns, at once.
+  let asked = false, timer = 0, cost = 0, done = 0;
+  const draw = () => {
+    asked = false; clearTimeout(timer); timer = 0;
+    const begun = performance.now();
+    renderer.render(scene, camera); place();
+    requestAnimationFrame(() => requestAnimationFrame(() => { done = performance.now(); cost = Math.max(0, done - begun - TWO_FRAMES_MS); }));
+  };
+  const askNow = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
+  const ask = () => { if (!asked && !timer) timer = setTimeout(() => { timer = 0; askNow(); }, Math.max(0, done + REST * cost - performance.now())); };
   const fit = () => {
     const { clientWidth: width, clientHeight: height } = pane;
     renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5, WIDEST_PX / Math.max(width, 1))); renderer.setSize(width, height, false);
     camera.aspect = width / Math.max(height, 1); camera.updateProjectionMatrix();
     if (!moved) frame();
-    ask();
+    askNow();
   };
   // The whole kidney in the middle of the pane, as near as it fits; until somebody turns it or comes nearer.
   let moved = false;
@@ -97,7 +107,7 @@ export async function kidneyView(pane, onCalyx) {
     controls.target.copy(center); controls.update();
   };
   controls.addEventListener("start", () => { moved = true; });
-  new ResizeObserver(fit).observe(pane); controls.addEventListener("change", ask);
+  new ResizeObserver(fit).observe(pane); controls.addEventListener("change", askNow);
 
   // Labels beside their balls; one that would cover another goes below or above it.
   const sizes = new Map();
@@ -163,8 +173,8 @@ export async function kidneyView(pane, onCalyx) {
       for (const [points, color, size] of sets) for (const p of points) { const d = new THREE.Mesh(new THREE.SphereGeometry(size * unit, 10, 8), new THREE.MeshBasicMaterial({ color })); d.position.copy(vector(p)); dots.add(d); }
       ask();
     },
-    turn(right, down_) { moved = true; const offset = camera.position.clone().sub(center), side = new THREE.Vector3().crossVectors(camera.up, offset).normalize(); offset.applyAxisAngle(camera.up, right).applyAxisAngle(side, down_); camera.position.copy(center).add(offset); controls.update(); ask(); },
-    zoom(factor) { moved = true; camera.position.sub(center).multiplyScalar(factor).add(center); controls.update(); ask(); },
+    turn(right, down_) { moved = true; const offset = camera.position.clone().sub(center), side = new THREE.Vector3().crossVectors(camera.up, offset).normalize(); offset.applyAxisAngle(camera.up, right).applyAxisAngle(side, down_); camera.position.copy(center).add(offset); controls.update(); askNow(); },
+    zoom(factor) { moved = true; camera.position.sub(center).multiplyScalar(factor).add(center); controls.update(); askNow(); },
     onPick(action) { pick = action; },
     screen(points) { return points.map((p) => { const q = vector(p).project(camera), box = canvas.getBoundingClientRect(); return [box.x + (q.x + 1) / 2 * box.width, box.y + (1 - q.y) / 2 * box.height]; }); },
   };
