@@ -17,8 +17,8 @@ import torch
 _WORTH_A_THREAD = 2e8
 
 #: Allocator arenas that all threads of a long session share, and glibc's number for that setting. With one for each
-#: thread, as usual, what one thread freed serves no other: a session of sixteen threads grew by 0.5 MiB a minute,
-#: with two arenas by less than 0.1 (``python -m benchmarks.session minutes=30 faults_every_s=10``).
+#: thread, as usual, what one thread freed serves no other: a session of sixteen threads grew by 0.27 MiB a
+#: minute, with two arenas by 0.05 (``python -m benchmarks.session minutes=30 faults_every_s=10``).
 _ARENAS, _M_ARENA_MAX = 2, -8
 
 _lock = threading.Lock()

@@ -84,7 +84,7 @@ def query_features(histograms: Tensor, direction: Tensor | None, cost: PairCost)
 def _to_roots(histograms: Tensor, share: float) -> Tensor:
     """Histograms replaced by their square roots times those of ``share``.
 
-    The roots are NumPy's: PyTorch takes ten times as long for zeros, and most of a histogram is zero.
+    The roots are NumPy's: PyTorch's are slow at zeros, and most of a histogram is zero.
     """
     values = histograms.numpy()
     np.sqrt(values, out=values)

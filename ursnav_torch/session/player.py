@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from ursnav_torch.devices import Frame
 from ursnav_torch.session.events import Event, Result
 from ursnav_torch.session.replay import Replay
-from ursnav_torch.session.source import Pace
+from ursnav_torch.session.source import LosslessSource, Pace
 
 
-class Player:
+class Player(LosslessSource):
     """The events of a record as somebody at a page wants them; iterate once, steer from any thread.
 
     Args:
@@ -34,16 +34,6 @@ class Player:
     def pace(self) -> Pace:
         """A record's times are of another day; at speed 0 it waits until each picture is dealt with."""
         return Pace(stamped_now=False, steady=False, patient=self.replay.speed == 0)
-
-    @property
-    def dropped(self) -> int:
-        """Nothing: a record waits."""
-        return 0
-
-    @property
-    def outages_s(self) -> dict[str, float]:
-        """Nothing: a record does not fail."""
-        return {}
 
     def play(self) -> None:
         """Go on; from the beginning where the record is at its end."""

@@ -43,3 +43,17 @@ class EventSource(Protocol):
 
     def __iter__(self) -> Iterator[Event]:
         """All events, in the order of their arrival."""
+
+
+class LosslessSource:
+    """What is the same in every source that waits for its reader and has no devices that fail."""
+
+    @property
+    def dropped(self) -> int:
+        """Nothing: it waits."""
+        return 0
+
+    @property
+    def outages_s(self) -> Mapping[str, float]:
+        """Nothing: a record, or what is simulated by arithmetic, does not fail."""
+        return {}

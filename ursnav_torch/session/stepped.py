@@ -10,11 +10,11 @@ from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event
 from ursnav_torch.session.live import CONTROL_HZ
 from ursnav_torch.session.rig import Rig
-from ursnav_torch.session.source import Pace
+from ursnav_torch.session.source import LosslessSource, Pace
 from ursnav_torch.simulation import SimulatedTime, SteppedCamera, SteppedRobot, Twin, TwinPilot, World
 
 
-class Stepped:
+class Stepped(LosslessSource):
     """The events of a simulated rig, cycle by cycle of control, until the operator quits.
 
     Time goes on when an event was dealt with: every picture is located before the scope moves on.
@@ -39,16 +39,6 @@ class Stepped:
     def pace(self) -> Pace:
         """Time waits until each picture is dealt with."""
         return Pace(stamped_now=False, steady=False, patient=True)
-
-    @property
-    def dropped(self) -> int:
-        """Nothing: time waits."""
-        return 0
-
-    @property
-    def outages_s(self) -> dict[str, float]:
-        """Nothing: what is simulated by arithmetic does not fail."""
-        return {}
 
     def stop(self) -> None:
         """End the session."""

@@ -143,7 +143,7 @@ def _augmented(cost: Tensor, target: Tensor, weights: Tensor, dummy_cost: float)
 def _plain(cost: Tensor, target: Tensor, weights: Tensor, settings: Sinkhorn) -> Transport:
     """Scaling iterations on ``exp(-cost / epsilon)``: two batched matrix-vector products each.
 
-    Those are NumPy's: PyTorch's batched product takes twelve times as long where one factor has a single column.
+    Those are NumPy's: PyTorch's batched product is slow where one factor has a single column.
     """
     kernel = (cost.transpose(0, 1) / -settings.epsilon).contiguous().exp_()  # (V, Pq, P)
     K, sent, wanted = kernel.numpy(), weights.numpy(), target.numpy()
