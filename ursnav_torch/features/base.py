@@ -51,7 +51,8 @@ class Features:
         fields: (C, h, w) what the maps were sampled from, at the extractor's working size; empty without maps.
         contrast: log10 of the median local contrast (in log intensity) of coarse structure: low for a wall or a
             white-out.
-        grain: how much more contrast (log10) fine structure has than coarse: high for noise.
+        grain: how much more contrast (log10) fine structure has than coarse: high for noise. Both are 0 for a drawn
+            view, of which nobody asks them.
         valid: (h, w) 0 to 1, how much of each pixel of the fields is wall; empty where nothing lies before it.
         bodies: stones and instruments before the wall, the largest first.
         read: (5, h, w) what the wall network read: the relief, its log variance, the log depth less a constant, its

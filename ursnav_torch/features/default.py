@@ -16,7 +16,7 @@ from ursnav_torch.camera import Camera, mask_text
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, NOTHING_READ, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
-from ursnav_torch.features.flatten import LocalPlane, blur, flatten, local_contrast, masked_blur, remove_stripes
+from ursnav_torch.features.flatten import LocalPlane, MaskedBlur, blur, flat_of, local_contrast, remove_stripes
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
 from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.network import WallReader
@@ -93,6 +93,10 @@ class DefaultExtractor:
         rim = settings.contour_blur * self._unit * 2 + 1
         self._contour_mask = blur(self._small_mask, rim) > 0.97
         self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
+        blurs = {*settings.edge_blurs, settings.contour_blur, COARSE}
+        self._blurs = {share: MaskedBlur(self._small_mask, share * self._unit) for share in blurs}
+        self._first_blur = MaskedBlur(self._small_mask, max(settings.relief_blur * self._unit, 0.5))
+        self._probes = spread_pixels(self._mask)
         self._polar = polar_grid(self.working_camera)
         self._partial = False  # whether pictures show less than the views, which are drawn through the whole lens
         self._network = WallReader(self.working_camera, self._small_mask) if settings.learned else None
@@ -106,12 +110,15 @@ class DefaultExtractor:
         """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few."""
         check_image(image, self.camera)
         gray = signal(image)
-        refuse_blank(gray, self._mask)
+        refuse_blank(gray.flatten()[self._probes])
         log_image = self._small_log(gray)
-        coarse = masked_blur(log_image, self._small_mask, COARSE * self._unit)
-        contrast = local_contrast(coarse, self._small_mask, self._around)
-        grain = local_contrast(log_image, self._small_mask, self._around) - contrast
-        relief, valid = flatten(log_image, self._small_mask, self._around), self._small_mask
+        detail, variance = self._around.detail(log_image)
+        relief, valid = flat_of(detail, variance, self._small_mask), self._small_mask
+        contrast = grain = 0.0
+        if not virtual:  # a drawn view's are of no interest
+            _, of_coarse = self._around.detail(self._blurs[COARSE](log_image))
+            contrast = local_contrast(of_coarse, self._small_mask)
+            grain = local_contrast(variance, self._small_mask) - contrast
         bodies: tuple[ForegroundBody, ...] = ()
         read = NOTHING_READ
         if not virtual and self._network is not None:
@@ -133,7 +140,7 @@ class DefaultExtractor:
         log_image = remove_stripes(torch.log(gray + 8), self._mask)
         size = (self.working_camera.height, self.working_camera.width)
         small = resize(log_image[None, None], size, antialias=True)[0, 0]
-        return masked_blur(small, self._small_mask, max(self.settings.relief_blur * self._unit, 0.5))
+        return self._first_blur(small)
 
     def _edge_points(self, relief: Tensor, valid: Tensor) -> tuple[EdgePoints, NDArray[np.bool_]]:
         """Edge points of a relief (h, w) where it is valid (h, w), and all edges at the picture's size (H, W).
@@ -176,7 +183,7 @@ class DefaultExtractor:
         return torch.cat([relief[None], *slopes])
 
     def _slope(self, relief: Tensor, blurred: float) -> Tensor:
-        return gradient(masked_blur(relief, self._small_mask, blurred * self._unit))
+        return gradient(self._blurs[blurred](relief))
 
     def _edges(self, ridge: Tensor) -> NDArray[np.bool_]:
         on = ridge[ridge > 1e-4]
@@ -195,14 +202,19 @@ def blend(photometric: Tensor, learned: Tensor, mask: Tensor, share: float) -> T
     return (1 - share) * photometric + share * contrast / read * learned
 
 
-def refuse_blank(gray: Tensor, mask: Tensor) -> None:
-    """Refuse a picture (H, W) without contrast inside the mask (H, W).
+def spread_pixels(mask: Tensor) -> Tensor:
+    """About 4,096 of the pixels where a mask (H, W) is not 0, evenly spread: their places (N,) in the flat picture."""
+    inside = mask.flatten().nonzero().flatten()
+    return inside[:: max(1, len(inside) // 4096)]
+
+
+def refuse_blank(values: Tensor) -> None:
+    """Refuse a picture without contrast, by gray values (N,) from all over it.
 
     Raises:
         FeatureError: all black, all white, or one gray.
     """
-    inside = gray[mask > 0]
-    low, high = torch.quantile(inside[:: max(1, len(inside) // 4096)], torch.tensor([0.02, 0.98])).tolist()
+    low, high = torch.quantile(values, torch.tensor([0.02, 0.98])).tolist()
     if high - low < 4:
         what = "black" if high < 16 else "white" if low > 250 else "one gray"
         raise FeatureError(

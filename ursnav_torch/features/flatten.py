@@ -39,8 +39,24 @@ def _band(length: int, sigma_px: float, dtype: torch.dtype) -> Tensor:
 
 def masked_blur(x: Tensor, mask: Tensor, sigma_px: float) -> Tensor:
     """Gaussian mean of (..., H, W) over the pixels where ``mask`` (H, W) is 1 (normalized convolution)."""
-    both = blur(torch.stack([x * mask, mask.expand_as(x)]), sigma_px)
-    return both[0] / both[1].clamp_min(1e-3)
+    return MaskedBlur(mask, sigma_px)(x)
+
+
+class MaskedBlur:
+    """`masked_blur` of many images under one mask, whose own blur is made once.
+
+    Args:
+        mask: (H, W) 1.0 inside the picture.
+        sigma_px: of the Gaussian.
+    """
+
+    def __init__(self, mask: Tensor, sigma_px: float) -> None:
+        self.sigma_px, self._mask = sigma_px, mask
+        self._share = blur(mask, sigma_px).clamp_min(1e-3)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """The Gaussian means (..., H, W) of images (..., H, W)."""
+        return blur(x * self._mask, self.sigma_px) / self._share
 
 
 def remove_stripes(x: Tensor, mask: Tensor, most: int = 3) -> Tensor:
@@ -86,7 +102,8 @@ class LocalPlane:
     """
 
     def __init__(self, mask: Tensor, sigma_px: float) -> None:
-        self.sigma_px = sigma_px
+        self.sigma_px, self._mask = sigma_px, mask
+        self._blur = MaskedBlur(mask, sigma_px)
         y, x = ((torch.arange(n, dtype=torch.float64) - (n - 1) / 2) / sigma_px for n in mask.shape)
         one, inside = torch.ones_like(mask, dtype=torch.float64), mask.double()
         column = torch.stack([one, x[None] * one, y[:, None] * one])
@@ -103,6 +120,11 @@ class LocalPlane:
         """The planes' heights (H, W) at the pixels of an image (H, W); 0 outside."""
         return (blur(self.columns * image, self.sigma_px) * self.weights).sum(0)
 
+    def detail(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """An image (H, W) less its surroundings, and the local variance of what is left (H, W); 0 outside."""
+        left = (image - self(image)) * self._mask
+        return left, self._blur(left * left)
+
 
 def flatten(log_image: Tensor, mask: Tensor, around: LocalPlane, floor: float = 0.02, most: float = 3.0) -> Tensor:
     """Relief (H, W): the log image less its surroundings, in units of its own local contrast, within +-``most``.
@@ -114,9 +136,12 @@ def flatten(log_image: Tensor, mask: Tensor, around: LocalPlane, floor: float = 
         floor: contrast (in log units) below which nothing is amplified: noise, not relief.
         most: highlights and vessels are clamped here.
     """
-    detail = (log_image - around(log_image)) * mask
-    contrast = (masked_blur(detail * detail, mask, around.sigma_px) + floor**2).sqrt()
-    return (detail / contrast).clamp(-most, most) * mask
+    return flat_of(*around.detail(log_image), mask, floor, most)
+
+
+def flat_of(detail: Tensor, variance: Tensor, mask: Tensor, floor: float = 0.02, most: float = 3.0) -> Tensor:
+    """`flatten` (H, W) of what `LocalPlane.detail` gives."""
+    return (detail / (variance + floor**2).sqrt()).clamp(-most, most) * mask
 
 
 def _least_squares(a: Tensor, b: Tensor) -> Tensor:
@@ -127,11 +152,9 @@ def _least_squares(a: Tensor, b: Tensor) -> Tensor:
     return torch.stack([ss * cb - cs * sb, cc * sb - cs * cb]) / (cc * ss - cs * cs)
 
 
-def local_contrast(log_image: Tensor, mask: Tensor, around: LocalPlane) -> float:
-    """log10 of the median, over the picture, of the local standard deviation of a log image (H, W)."""
-    detail = (log_image - around(log_image)) * mask
-    spread = masked_blur(detail * detail, mask, around.sigma_px)[mask > 0].median().clamp_min(1e-12)
-    return float(spread.log10()) / 2
+def local_contrast(variance: Tensor, mask: Tensor) -> float:
+    """log10 of the median, over the picture, of the local standard deviation, from `LocalPlane.detail`'s (H, W)."""
+    return float(variance[mask > 0].median().clamp_min(1e-12).log10()) / 2
 
 
 def _smooth(rows: Tensor, weight: Tensor, kernel: Tensor) -> Tensor:

@@ -132,11 +132,16 @@ def _evenly(mass: NDArray[np.float64], n: int) -> NDArray[np.int64]:
 def _farthest(points: NDArray[np.float64], n: int, weights: NDArray[np.float64]) -> NDArray[np.int64]:
     """Farthest-point sampling (n,), from the point farthest from the middle on."""
     chosen = np.empty(n, np.int64)
-    distance = ((points - points.mean(0)) ** 2).sum(1)
+    x, y = np.ascontiguousarray(points.T)
+
+    def squared_from(x0: float, y0: float) -> NDArray[np.float64]:
+        return (x - x0) ** 2 + (y - y0) ** 2
+
+    distance = squared_from(*points.mean(0))
     squared_weights, nearest = weights**2, np.full(len(points), np.inf)
     for i in range(n):
-        chosen[i] = np.argmax(distance * squared_weights)
-        nearest = np.minimum(nearest, ((points - points[chosen[i]]) ** 2).sum(1))
-        nearest[chosen[: i + 1]] = -1.0
+        chosen[i] = at = np.argmax(distance * squared_weights)
+        np.minimum(nearest, squared_from(x[at], y[at]), out=nearest)
+        nearest[at] = -1.0
         distance = nearest
     return chosen

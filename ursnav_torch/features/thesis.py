@@ -16,7 +16,7 @@ from torch import Tensor
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features.base import NO_MAPS, Features
-from ursnav_torch.features.default import refuse_blank
+from ursnav_torch.features.default import refuse_blank, spread_pixels
 from ursnav_torch.features.edges import edge_points, gradient
 from ursnav_torch.features.image import check_image
 from ursnav_torch.features.sampling import check_method, sample
@@ -62,6 +62,7 @@ class ThesisExtractor:
     def __init__(self, settings: ThesisSettings, camera: Camera) -> None:
         self.settings, self.camera, self.working_camera = settings, camera, camera
         self._mask = camera.pixel_rays()[1]
+        self._probes = spread_pixels(torch.from_numpy(self._mask))
         size = 2 * settings.rim_px + 1
         framed = np.pad(self._mask.astype(np.uint8), 1)
         self._inner = cv2.erode(framed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))[1:-1, 1:-1] > 0
@@ -70,7 +71,7 @@ class ThesisExtractor:
         """See `Extractor.extract`."""
         check_image(image, self.camera)
         gray = grayscale(image)
-        refuse_blank(gray * 255, torch.from_numpy(self._mask).float())
+        refuse_blank((gray * 255).flatten()[self._probes])
         if not virtual:
             gray = equalize(remove_stripes(gray, self.settings.stripe_rows))
             gray = gaussian_blur2d(gray[None, None], (13, 13), (self.settings.blur_px, self.settings.blur_px))[0, 0]

@@ -19,7 +19,9 @@ class RayScene:
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._corners = np.asarray(mesh.vertex_normals, np.float32)[np.asarray(mesh.faces)]  # (F, 3, 3)
+        corners = np.asarray(mesh.vertex_normals, np.float32)[np.asarray(mesh.faces)]  # (F, 3, 3)
+        # Number by number, (corner, axis, F): what is long comes last, which NumPy works through without a pause.
+        self._corners = np.ascontiguousarray(corners.transpose(1, 2, 0))
         self._scene = rtcore_scene.EmbreeScene()
         TriangleMesh(self._scene, np.asarray(mesh.triangles, np.float32))
 
@@ -31,15 +33,21 @@ class RayScene:
         hits = self._scene.run(origins, directions, output=True)
         face = hits["primID"]
         wall = face >= 0
-        depth = np.full(len(directions), np.inf, np.float32)
-        depth[wall] = hits["tfar"][wall]
-        normals = np.zeros((len(directions), 3), np.float32)
-        u, v = hits["u"][wall], hits["v"][wall]
-        share = np.stack([1 - u - v, u, v], axis=1)
-        smooth = np.einsum("nk,nki->ni", share, self._corners[face[wall]])
-        size = np.sqrt(np.einsum("ni,ni->n", smooth, smooth))
-        normals[wall] = smooth / np.maximum(size, 1e-9)[:, None]
-        return depth, normals
+        depth = np.where(wall, hits["tfar"], np.float32(np.inf))
+        if wall.all():
+            return depth, self._normals(face, hits["u"], hits["v"]).T
+        normals = np.zeros((3, len(directions)), np.float32)
+        normals[:, wall] = self._normals(face[wall], hits["u"][wall], hits["v"][wall])
+        return depth, normals.T
+
+    def _normals(self, face: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Unit normals (3, N) in faces (N,) at barycentric coordinates u and v (N,)."""
+        first = 1 - u - v
+        a, b, c = self._corners
+        smooth = np.stack([first * a[i][face] + u * b[i][face] + v * c[i][face] for i in range(3)])
+        size = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
+        smooth /= np.maximum(size, 1e-9)
+        return smooth
 
 
 class RaycastRenderer:
@@ -57,20 +65,29 @@ class RaycastRenderer:
         self.scene = RayScene(mesh)
         rays, self._mask = camera.pixel_rays()
         self._rays_camera = rays[self._mask].astype(np.float32)
+        self._rays_by_axis = np.ascontiguousarray(self._rays_camera.T)
+        self._pixels = np.flatnonzero(self._mask)
 
     def render(self, T_kidney_camera: NDArray[np.float64]) -> View:
         """The view from one pose (4, 4)."""
         R, t = T_kidney_camera[:3, :3].astype(np.float32), T_kidney_camera[:3, 3]
         depth, normals_kidney = self.scene.cast(t, self._rays_camera @ R.T)
-        hit = np.isfinite(depth)
-        normals_camera = -normals_kidney @ R  # the mesh's normals leave the lumen; a view's point at the camera
-        gray = np.zeros(len(depth))
-        gray[hit] = self.light.shade(self._rays_camera[hit] * depth[hit, None], normals_camera[hit])
+        normals = -R.T @ normals_kidney.T  # (3, N); the mesh's normals leave the lumen, a view's point at the camera
+        gray = self._shaded(depth, normals)
         shape = self._mask.shape
         image = np.zeros(shape, np.uint8)
-        image[self._mask] = np.round(255 * gray).astype(np.uint8)
+        image.reshape(-1)[self._pixels] = np.rint(255 * gray).astype(np.uint8)
         depth_mm = np.full(shape, np.nan, np.float32)
-        depth_mm[self._mask] = depth
-        normals = np.zeros((*shape, 3), np.float32)
-        normals[self._mask] = normals_camera
-        return View(image, depth_mm, normals)
+        depth_mm.reshape(-1)[self._pixels] = depth
+        normals_camera = np.zeros((*shape, 3), np.float32)
+        normals_camera.reshape(-1, 3)[self._pixels] = normals.T
+        return View(image, depth_mm, normals_camera)
+
+    def _shaded(self, depth: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.floating]:
+        """Gray values (N,) in 0..1 at distances (N,) along the rays with normals (3, N); 0 without a wall."""
+        hit = np.isfinite(depth)
+        if hit.all():
+            return self.light.shade((self._rays_by_axis * depth).T, normals.T)
+        gray = np.zeros(len(depth))
+        gray[hit] = self.light.shade((self._rays_by_axis[:, hit] * depth[hit]).T, normals[:, hit].T)
+        return gray
