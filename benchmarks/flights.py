@@ -27,7 +27,7 @@ from benchmarks.shared.track_weights import fit_position
 from ursnav_torch.errors import InputError
 
 SETTINGS = {
-    "phantoms": 8, "views": 60, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
+    "phantoms": 8, "views": 60, "around": 4.0, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
     "other": False, "odometry": False, "fit": False, "save": False,
     "only": "", "out": "",
 }  # fmt: skip
@@ -69,12 +69,12 @@ def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) ->
     )
     first = {c.kidney: c for c in population(settings["phantoms"], given)}
     for kidney in dict.fromkeys(c.kidney for c in cases):
-        vid = vid_for(first[kidney], settings["views"], work, data)
+        vid = vid_for(first[kidney], settings["views"], settings["around"], work, data)
         lumen = vid.lumen
         there, around = vid, lumen
         if settings["other"]:
             following = kidneys[(kidneys.index(kidney) + 1) % len(kidneys)]
-            there = vid_for(first[following], settings["views"], work, data)
+            there = vid_for(first[following], settings["views"], settings["around"], work, data)
             around = there.lumen
         for case in (c for c in cases if c.kidney == kidney):
             seen = flown(case, vid, lumen, settings["pictures"], work)

@@ -103,13 +103,15 @@ def population(phantoms: int = 8, given: tuple[str, ...] = ()) -> list[Case]:
     return cases
 
 
-def vid_for(case: Case, views: int, work: Path, data: Path | None) -> Vid:
+def vid_for(case: Case, views: int, around: float, work: Path, data: Path | None) -> Vid:
     """The VID of a case's kidney; built once."""
-    plan = PlanSettings(views, views)
+    plan = PlanSettings(views, views, around)
     if case.seed < 0:
         assert data is not None
-        return vid_of(data, case.kidney, work, f"flights_{views}", plan=plan, calibrate=False)
-    return phantom_vid(make_phantom_kidney(case.seed, calyces=6 + case.seed % 4), plan, work / f"{case.kidney}_{views}")
+        return vid_of(data, case.kidney, work, f"flights_{views}_{around:g}", plan=plan, calibrate=False)
+    return phantom_vid(
+        make_phantom_kidney(case.seed, calyces=6 + case.seed % 4), plan, work / f"{case.kidney}_{views}_{around:g}"
+    )
 
 
 def flown(case: Case, vid: Vid, lumen: LumenDistance, pictures: int, work: Path) -> Flown:

@@ -98,8 +98,8 @@ class Record:
 
 
 def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Record:
-    """The track of a flight; from disk where the same code with the same settings made it before."""
-    key = hashlib.sha256((sources(_ROOMS) + repr(choice)).encode()).hexdigest()[:10]
+    """The track of a flight; from disk where the same code with the same settings and VID made it before."""
+    key = hashlib.sha256((sources(_ROOMS) + repr(choice) + vid.folder.name).encode()).hexdigest()[:10]
     path = seen.folder / f"{'refused' if choice.other else 'track'}_{key}.npz"
     if not path.exists():
         answers = list(_answers(seen, Tracker(vid, **choice.groups()), choice))

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.alignment import Expectation, RefinementSettings, Refiner
 from ursnav_torch.alignment.align import Aligned
 from ursnav_torch.alignment.fields import AlignGrid
 from ursnav_torch.alignment.light import AT_CAMERA, STEP, gray_values
@@ -75,7 +75,7 @@ def test_a_drawings_gray_values_are_the_headlights() -> None:
 
 
 def test_motion_says_where_a_moved_wall_point_is_seen(grid: AlignGrid) -> None:
-    points = 6.0 * grid.rays
+    points = 6.0 * grid.rays.T.astype(float)
     for i, move in enumerate(1e-3 * np.eye(6)):
         turn = Rotation.from_rotvec(move[3:]).as_matrix()
         there, _ = grid.camera.project(points @ turn.T + move[:3])
@@ -134,9 +134,36 @@ def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(
     def elsewhere(poses: np.ndarray) -> np.ndarray:
         return -2.0 * (np.linalg.norm(poses[:, :3, 3] - other[:3, 3], axis=1) > 3.0)
 
-    plain, told = (refiner.refine(seen, [T, other], prior=prior) for prior in (None, elsewhere))
+    plain, told = (refiner.refine(seen, [T, other], Expectation(prior=prior)) for prior in (None, elsewhere))
     assert (plain.hypothesis, told.hypothesis) == (0, 1)
     assert told.score < plain.score <= 1.0  # the score is the picture's alone
+
+
+@pytest.mark.parametrize(("first", "enough", "tried"), [(1, 0.5, 1), (1, 1.1, 3), (2, 0.5, 2), (None, None, 3)])
+def test_the_others_are_tried_where_the_first_are_not_enough(
+    first: int | None, enough: float | None, tried: int, fine: Vid, phantom: Kidney, refiner: Refiner
+) -> None:
+    T = fine.T_kidney_camera[3]
+    starts = [T, fine.T_kidney_camera[30], fine.T_kidney_camera[44]]
+    found = refiner.refine(features(fine, phantom, T), starts, Expectation(first=first, enough=enough))
+    assert len(found.tried) == tried and found.hypothesis == 0
+
+
+def test_hypotheses_that_end_at_one_pose_are_aligned_finely_once(
+    fine: Vid, phantom: Kidney, refiner: Refiner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    T, counts = fine.T_kidney_camera[3], []
+    rng = np.random.default_rng(3)
+    starts = [pushed(T, rng, 0.3, 2.0) for _ in range(4)]
+    aligned = refiner.finely
+    monkeypatch.setattr(
+        refiner, "finely", lambda f, states, known: (counts.append(len(states)), aligned(f, states, known))[1]
+    )
+    for same_mm in (0.0, 0.3):
+        found = refiner.refine(features(fine, phantom, T), starts, Expectation(same_mm=same_mm, same_deg=2.0))
+        assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.3 and len(found.tried) >= 3
+    rounds = refiner.settings.fine_rounds
+    assert counts[0] >= 2 and counts[rounds] == 1
 
 
 def test_a_refined_pose_is_scored_for_other_features_as_if_drawn_there(

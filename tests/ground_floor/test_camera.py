@@ -63,6 +63,24 @@ def test_pixels_and_rays_are_inverse(u: float, v: float) -> None:
             assert seen or min(u + 0.5, v + 0.5, 249.5 - u, 239.5 - v) < 1e-6 or camera.fov_deg is not None
 
 
+@pytest.mark.parametrize(
+    "camera",
+    [
+        FISHEYE,
+        PINHOLE,
+        Camera("rational", 250, 240, 120.0, 125.0, 121.3, 124.7, (-0.1, 0.02, 1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0)),
+        Camera("double_sphere", 250, 240, 88.0, 91.0, 121.3, 124.7, (-0.2, 0.55)),
+    ],
+    ids=lambda camera: camera.model,
+)
+def test_pixels_in_single_precision_are_those_of_project(camera: Camera) -> None:
+    points = points_within(60)
+    found = camera.pixels(np.ascontiguousarray(points.T, np.float32))
+    assert found.dtype == np.float32 and found.flags.c_contiguous
+    np.testing.assert_allclose(found.T, camera.project(points)[0], atol=2e-3)
+    assert camera.pixels(np.zeros((3, 0), np.float32)).shape == (2, 0)
+
+
 def test_convention_pixel_centers_are_whole_numbers_and_y_is_down() -> None:
     camera = equidistant_camera(90, 101, 51)
     ray, _ = camera.rays([50, 25])

@@ -16,7 +16,7 @@ from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
 #: Drawing, start and hypotheses tried: nothing here looks at them.
-NOT_ASKED = (None, None, None, None, None)
+NOT_ASKED = (None, None, None)
 HERE = look_along(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 THERE = look_along(np.array([30.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
 FAR = look_along(np.array([0.0, 40.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -33,7 +33,8 @@ class Scores:
         self.asked.append(list(candidates))
         scores = [self._score(T) for T in candidates]
         best = int(np.argmax(scores))
-        return Refined(candidates[best], scores[best], best, 1, AT_CAMERA, *NOT_ASKED)  # type: ignore[arg-type]
+        found = (candidates[best], scores[best], best, 1, AT_CAMERA, *NOT_ASKED, np.array([scores[best]]), None)
+        return Refined(*found)  # type: ignore[arg-type]
 
     def _score(self, T: np.ndarray) -> float:
         for place, score in ((HERE, self.here), (THERE, self.there)):
@@ -87,12 +88,49 @@ def test_where_the_last_step_led_is_tried_first() -> None:
     pursuit.follow(picture(ahead_by(HERE, 1.0), FAR), anew=True)
     scores.asked.clear()
     pursuit._incumbent = type(pursuit._incumbent)(  # as if the scope had gone on by a millimeter in this picture
-        Refined(ahead_by(HERE, 1.0), 0.8, 0, 1, AT_CAMERA, *NOT_ASKED),  # type: ignore[arg-type]
-        Refined(HERE, 0.8, 0, 1, AT_CAMERA, *NOT_ASKED),  # type: ignore[arg-type]
+        Refined(ahead_by(HERE, 1.0), 0.8, 0, 1, AT_CAMERA, *NOT_ASKED, np.array([0.8]), None),  # type: ignore[arg-type]
+        Refined(HERE, 0.8, 0, 1, AT_CAMERA, *NOT_ASKED, np.array([0.8]), None),  # type: ignore[arg-type]
     )
     pursuit.follow(picture(ahead_by(HERE, 1.0), FAR), anew=False)
     np.testing.assert_allclose(scores.asked[0][0], ahead_by(HERE, 2.0), atol=1e-9)
-    np.testing.assert_allclose(scores.asked[0][1], ahead_by(HERE, 1.0), atol=1e-9)
+    np.testing.assert_allclose(scores.asked[0][2], ahead_by(HERE, 1.0), atol=1e-9)
+
+
+def flat(poses: np.ndarray) -> np.ndarray:
+    """Motion that says nothing."""
+    return np.zeros(len(poses))
+
+
+def test_a_settled_track_goes_on_from_where_motion_leads_alone() -> None:
+    scores = Scores(0.8)
+    pursuit = followed(scores)
+    assert not pursuit.settled and pursuit.go_on(None, flat) is None, "nothing bore it out yet"  # type: ignore[arg-type]
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    assert pursuit.settled
+    found = pursuit.go_on(None, flat)  # type: ignore[arg-type]
+    assert found is not None and at(found, HERE)
+    assert len(scores.asked[-1]) == ChallengerSettings().first
+
+
+def test_a_settled_track_that_is_aligned_worse_than_of_late_has_to_be_looked_at() -> None:
+    scores = Scores(0.8)
+    pursuit = followed(scores)
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    scores.here = 0.8 - ChallengerSettings().usual_drop + 0.01
+    assert pursuit.go_on(None, flat) is not None  # type: ignore[arg-type]
+    scores.here = 0.8 - 2 * ChallengerSettings().usual_drop
+    assert pursuit.go_on(None, flat) is None  # type: ignore[arg-type]
+    low = Scores(ChallengerSettings().enough_above - 0.01)
+    pursuit = followed(low)
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    assert pursuit.go_on(None, flat) is None, "badly aligned all the time"  # type: ignore[arg-type]
+
+
+def test_a_track_that_the_filter_does_not_bear_out_is_not_settled() -> None:
+    pursuit = followed(Scores(0.8))
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    pursuit.follow(picture(FAR, HERE), anew=False)
+    assert not pursuit.settled and pursuit.go_on(None, flat) is None  # type: ignore[arg-type]
 
 
 def test_a_challenger_takes_over_after_being_better_for_a_while_not_at_once() -> None:

@@ -11,6 +11,7 @@ from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.track_rows import track_rows
 from ursnav_torch.search import VIDEO_SEARCH
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid
 
@@ -34,6 +35,28 @@ def test_reading_ahead_changes_no_answer(vid: Vid, moments: list[Moment], live: 
         assert (a.T_kidney_camera is None) == (b.T_kidney_camera is None)
         if a.T_kidney_camera is not None and b.T_kidney_camera is not None:
             np.testing.assert_allclose(a.T_kidney_camera, b.T_kidney_camera, atol=1e-6)
+
+
+@pytest.mark.parametrize(("every_s", "most"), [(0.0, 1.0), (0.35, 0.75)])
+def test_a_settled_track_is_weighed_against_all_views_now_and_then(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch, every_s: float, most: float
+) -> None:
+    """And still knows, in every picture, where it is and how far the hypotheses lie from there."""
+    settings = TrackSettings()
+    tracker = Tracker(vid, replace(settings, filter=replace(settings.filter, every_s=every_s)))
+    looked, update = [], tracker._filter.update
+    monkeypatch.setattr(tracker._filter, "update", lambda *given: (looked.append(1), update(*given))[1])
+    way = flight(phantom, 1)
+    answers = [tracker.step(renderer.render(T).image, i / 10) for i, T in enumerate(way)]
+    settled = [(a, T) for a, T in zip(answers, way, strict=True) if a.state == "tracking"]
+    assert len(settled) > 0.6 * len(way)
+    assert len(looked) <= most * len(way) and (every_s or len(looked) == len(way))
+    for answer, T in settled:
+        assert answer.T_kidney_camera is not None and answer.certainty is not None and answer.places is not None
+        assert np.linalg.norm(answer.T_kidney_camera[:3, 3] - T[:3, 3]) < 1.5
+        assert answer.certainty.evidence.spread_mm < 6.0
+    quiet = [a for a, _ in settled if a.evidence is None]
+    assert len(quiet) == len(way) - len(looked)
 
 
 def rows_of(vid: Vid, pictures: Callable[[], Iterator[Moment]]) -> Iterator[tuple[dict[str, Any], Tracked]]:

@@ -21,10 +21,10 @@ def views(phantom: Kidney, phantom_lumen: LumenDistance, settings: PlanSettings)
 
 
 def test_counts(views: Plan, phantom: Kidney, settings: PlanSettings) -> None:
-    """As many views of each calyx as asked for, at least; passage views observe one or none."""
+    """As many views of each calyx as asked for, at least; the others, half of them around, observe one or none."""
     check_rigid(views.T_kidney_camera, "T_kidney_camera")
     counts = [(views.calyx == c).sum() for c in range(len(phantom.calyces))]
-    assert min(counts) >= 40 and len(views.calyx) == 40 * len(phantom.calyces) + 60
+    assert min(counts) >= 40 and len(views.calyx) == 40 * len(phantom.calyces) + 60 + 60
     assert (views.calyx == -1).sum() > 10, "views in pelvis and infundibula"
 
 
@@ -53,6 +53,28 @@ def test_no_view_bends_more_than_the_scope(phantom: Kidney, phantom_lumen: Lumen
                 worst.append(float(np.degrees(angle_between(b - a, T[:3, 2]))))
         bends.append(max(worst))
     assert bends[0] < 35.0 + 8.0 < bends[1]  # a chord of the centerline is no tangent
+
+
+def test_a_scope_that_turns_between_calyces_looks_at_views(
+    phantom: Kidney, phantom_lumen: LumenDistance, settings: PlanSettings
+) -> None:
+    """From where the lumen is wide and in any direction within reach, there is one nearby that looks about there."""
+    rng = np.random.default_rng(0)
+    way = phantom.centerline.points_mm[phantom.centerline.path_to(0)]
+    wide = way[phantom_lumen.clearance_mm(way) > 2.5]
+    assert len(wide) > 3
+    axis = np.diff(way[:8], axis=0).sum(0)
+    toward = rng.normal(size=(200, 3))
+    toward = toward[angle_between(axis, toward) < np.radians(80)]
+    far = {}
+    for around in (0.0, 4.0):
+        views = plan_views(phantom, phantom_lumen, replace(settings, around=around)).T_kidney_camera
+        nearest = []
+        for place, direction in zip(wide[rng.integers(len(wide), size=len(toward))], toward, strict=True):
+            beside = views[np.linalg.norm(views[:, :3, 3] - place, axis=1) < 3.0]
+            nearest.append(np.degrees(angle_between(direction, beside[:, :3, 2])).min())
+        far[around] = float(np.percentile(nearest, 90))
+    assert far[4.0] < 30 < 45 < far[0.0]
 
 
 def test_labels_follow_the_rule(views: Plan, phantom: Kidney, phantom_lumen: LumenDistance) -> None:
@@ -105,7 +127,8 @@ def test_a_larger_kidney_has_the_same_views_larger(phantom: Kidney, settings: Pl
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"views_per_calyx": 0}, {"passage_views": -1}, {"nearest_mm": 13.0}, {"nearest_mm": 0.0},
+        {"views_per_calyx": 0}, {"passage_views": -1}, {"around": -0.1}, {"around": np.nan},
+        {"nearest_mm": 13.0}, {"nearest_mm": 0.0},
         {"scope_radius_mm": 0.0}, {"stretch_mm": -0.1}, {"tilt_deg": -1.0}, {"largest_tilt_deg": 180.0},
     ],
 )  # fmt: skip

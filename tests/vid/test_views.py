@@ -91,7 +91,7 @@ def test_a_finished_shard_is_never_drawn_again(
         drawn.append(n)
         raise KeyboardInterrupt
 
-    few = replace(plan, views_per_calyx=2, passage_views=2)
+    few = replace(plan, views_per_calyx=2, passage_views=2, around=0.0)
     given = (vid.kidney, vid.camera, vid.settings, RaycastRenderer, few)
     with pytest.raises(KeyboardInterrupt):
         build_vid(*given, tmp_path / "vid", workers=1, progress=lambda total, what: nullcontext(stop_after_one))

@@ -7,9 +7,9 @@ derivatives), Tukey's weights, and the light found along with the pose.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment.fields import AlignGrid, Fields, Floats
 from ursnav_torch.alignment.light import AT_CAMERA, MOST, SPREAD, STEP, gray_values, within_limits
@@ -54,7 +54,7 @@ class Drawing:
 
     Attributes:
         T_kidney_camera, light: (4, 4) and (5,) it was drawn with.
-        points: (N, 3) wall points, camera frame.
+        points: (3, N) wall points, camera frame.
         value: (3, N) fields.
         slope: (2, 3, N) their change per px.
         lit: (5, 3, N) their change with the light.
@@ -64,7 +64,7 @@ class Drawing:
 
     T_kidney_camera: Array
     light: Array
-    points: Array
+    points: Floats
     value: Floats
     slope: Floats
     lit: Floats
@@ -80,7 +80,7 @@ class _State:
     light: Array
 
     def moved(self, step: Array) -> "_State":
-        turn = transform_from(Rotation.from_rotvec(step[3:6]).as_matrix(), step[:3])
+        turn = transform_from(cv2.Rodrigues(step[3:6])[0], step[:3])
         return _State(turn @ self.T_picture_drawing, np.clip(self.light + step[6:], -MOST, MOST))
 
 
@@ -140,7 +140,7 @@ class Aligner:
         motion[:3] /= distance
         lit = (value[1:] - value[:1]) / STEP.astype(np.float32)[: len(value) - 1, None, None]
         return Drawing(
-            T_kidney_camera, light, grid.rays * distance[:, None], value[0], slope, lit, motion, seen.astype(np.float32)
+            T_kidney_camera, light, grid.rays * distance, value[0], slope, lit, motion, seen.astype(np.float32)
         )
 
     def look(self, T_kidney_camera: Array, light: Array) -> tuple[Floats, Floats]:
@@ -163,8 +163,8 @@ class Aligner:
     def _step(self, picture: Fields, drawing: Drawing, state: _State) -> tuple[float, Array | None]:
         """Score of a state, and the step (6 + 5,) to a better one; None where too little is seen."""
         T = state.T_picture_drawing
-        pixels, _ = self.grid.camera.project(drawing.points @ T[:3, :3].T + T[:3, 3])
-        value, slope, weight = self.grid.sample(picture, pixels)
+        R, t = T[:3, :3].astype(np.float32), T[:3, 3:].astype(np.float32)
+        value, slope, weight = self.grid.sample(picture, self.grid.camera.pixels(R @ drawing.points + t))
         good = drawing.seen * weight
         count = float(good.sum())
         if count < LEAST_PIXELS:

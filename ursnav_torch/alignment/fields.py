@@ -50,7 +50,7 @@ class AlignGrid:
         camera: the lens at this size.
         mask: (H, W) 1.0 inside the picture.
         compared: (H, W) bool, the N pixels compared.
-        rays: (N, 3) their unit rays.
+        rays: (3, N) their unit rays.
         motion: (6, 2, N) px in x and y by which the image of a wall point at distance 1 on each ray moves when the
             point moves along x, y, z, and when it turns about x, y, z around the camera.
     """
@@ -63,8 +63,8 @@ class AlignGrid:
         self.mask = (_blur(inside.astype(np.float32), 1.0) > 0.99).astype(np.float32)
         self.compared = _blur(self.mask, max(1.0, _RIM / 2 * GRADIENT_BLUR * self._unit)) > 0.97
         self._counted = self.compared.astype(np.float32)
-        self.rays = rays[self.compared]
-        self.motion = _motion(self.camera, self.rays).astype(np.float32)
+        self.rays = np.ascontiguousarray(rays[self.compared].T, np.float32)
+        self.motion = _motion(self.camera, rays[self.compared]).astype(np.float32)
         self._shares: dict[float, Floats] = {}
         self._reach = settings.relief_reach * self._unit
         around = LocalPlane(torch.from_numpy(self.mask), self._reach)
@@ -102,10 +102,10 @@ class AlignGrid:
         contrast = np.sqrt(self._masked_blur(detail * detail, self._reach) + np.float32(_FLOOR**2))
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
-    def sample(self, fields: Fields, pixels: Array) -> tuple[Floats, Floats, Floats]:
-        """Values (3, N) and slopes (2, 3, N) of a picture at places (N, 2) px, and how much each place counts (N,)."""
-        x, y = np.ascontiguousarray(pixels.T.astype(np.float32))[:, None]
-        parts = np.empty((3, 3, len(pixels)), np.float32)
+    def sample(self, fields: Fields, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+        """Values (3, N) and slopes (2, 3, N) of a picture at places (2, N) px, and how much each place counts (N,)."""
+        x, y = pixels[:, None]
+        parts = np.empty((3, 3, pixels.shape[1]), np.float32)
         for part, of in zip(parts, (fields.value, fields.slope_x, fields.slope_y), strict=True):
             for row, plane in zip(part, of, strict=True):  # rows that lie together are what is fast afterwards
                 cv2.remap(plane, x, y, cv2.INTER_LINEAR, row[None], cv2.BORDER_REPLICATE)

@@ -16,6 +16,7 @@ from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.geometry import check_rigid
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.scaling import scaled
+from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -66,6 +67,32 @@ class RefinementSettings:
                 "Refinement needs hypotheses, at_first, iterations and fine_rounds >= 1, coarse_px, fine_px >= 24 and "
                 f"clearance_mm >= 0; got {self}."
             )
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What is known before a picture is looked at, and what is enough.
+
+    Attributes:
+        light: (5,) where the light was found before, if it was.
+        light_known: keep to that light.
+        prior: added to the scores (K,) of poses (K, 4, 4) where they are ranked; none when None.
+        first: so many candidates are tried first, `RefinementSettings.at_first` when None, and the others only where
+            none of these has a score of ``enough`` on the coarser grid, `RefinementSettings.enough` when None.
+        same_mm, same_deg: of hypotheses that end within both of each other the first round leaves the best alone.
+    """
+
+    light: Array | None = None
+    light_known: bool = False
+    prior: Prior | None = None
+    first: int | None = None
+    enough: float | None = None
+    same_mm: float = 0.0
+    same_deg: float = 0.0
+
+
+#: Nothing is known of a still.
+NOTHING_KNOWN = Expectation()
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,47 +155,47 @@ class Refiner:
         )
         self._verifier = Verifier(self.finest, vid.kidney.scale) if self.settings.verify else None
 
-    def refine(
-        self,
-        features: Features,
-        candidates: Sequence[Array],
-        light: Array | None = None,
-        light_known: bool = False,
-        prior: Prior | None = None,
-    ) -> Refined:
+    def refine(self, features: Features, candidates: Sequence[Array], expected: Expectation = NOTHING_KNOWN) -> Refined:
         """The best pose near one of the candidates.
 
         Args:
             features: of the picture.
             candidates: T_kidney_camera (4, 4) each, best first.
-            light: where the light was found before, if it was.
-            light_known: keep to that light.
-            prior: added to the scores (K,) of poses (K, 4, 4) where they are ranked; none when None.
+            expected: what is known before.
 
         Raises:
             InputError: no candidate, or one that is no rigid transform.
         """
-        tried = candidates[: self.settings.hypotheses]
-        first = self.settings.at_first
-        coarse = self.coarsely(features, tried[:first], light, light_known)
-        if len(tried) > first and max(state.score for state in coarse) < self.settings.enough:
-            coarse += self.coarsely(features, tried[first:], light, light_known)
+        tried, known = candidates[: self.settings.hypotheses], expected.light_known
+        coarse = self._enough(features, tried, expected)
         odds = self._log_odds(features, coarse)
-        states = _better_half(list(enumerate(coarse)), odds, prior)
+        numbered = _apart(list(enumerate(coarse)), expected)
+        chosen = None if odds is None else odds[[i for i, _ in numbered]]
+        states = _better_half(numbered, chosen, expected.prior)
         taken = sum(state.iterations for state in coarse)
         for _ in range(self.settings.fine_rounds):
-            fine = self.finely(features, [state for _, state in states], light_known)
+            fine = self.finely(features, [state for _, state in states], known)
             taken += sum(state.iterations for state in fine)
             numbered = [(i, state) for (i, _), state in zip(states, fine, strict=True)]
-            states = _better_half(numbered, self._log_odds(features, fine), prior)
+            states = _better_half(numbered, self._log_odds(features, fine), expected.prior)
         i, best = states[0]
         assert best.drawing is not None
         scores = np.array([state.score for state in coarse])
         ends = np.argsort(-scores, kind="stable")
         poses = np.stack([coarse[end].T_kidney_camera for end in ends])
-        known = np.zeros(len(coarse)) if odds is None else odds
+        log_odds = np.zeros(len(coarse)) if odds is None else odds
         found = (best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
-        return Refined(*found, np.asarray(tried[i], float), poses, scores[ends], known[ends], odds is not None)
+        return Refined(*found, np.asarray(tried[i], float), poses, scores[ends], log_odds[ends], odds is not None)
+
+    def _enough(self, features: Features, tried: Sequence[Array], expected: Expectation) -> list[Aligned]:
+        """The first round over the candidates tried first, and over the others where those are not enough."""
+        s, light, known = self.settings, expected.light, expected.light_known
+        first = s.at_first if expected.first is None else expected.first
+        enough = s.enough if expected.enough is None else expected.enough
+        coarse = self.coarsely(features, tried[:first], light, known)
+        if len(tried) > first and max(state.score for state in coarse) < enough:
+            coarse += self.coarsely(features, tried[first:], light, known)
+        return coarse
 
     def _log_odds(self, features: Features, states: Sequence[Aligned]) -> Array | None:
         """Log-odds (K,) of hypotheses, up to a constant; None where they are not verified."""
@@ -220,6 +247,18 @@ class Refiner:
         held = T_new.copy()
         held[:3, 3] = positions[int(np.argmax(room >= min(self._clearance, room[-1])))]
         return held
+
+
+def _apart(states: list[tuple[int, Aligned]], expected: Expectation) -> list[tuple[int, Aligned]]:
+    """Numbered hypotheses without those that ended where a better aligned one did."""
+    if expected.same_mm <= 0:
+        return states
+    kept: list[tuple[int, Aligned]] = []
+    for i, state in sorted(states, key=lambda numbered: -numbered[1].score):
+        ends = np.array([other.T_kidney_camera for _, other in kept]).reshape(-1, 4, 4)
+        if not are_near(ends, state.T_kidney_camera, expected.same_mm, expected.same_deg).any():
+            kept.append((i, state))
+    return kept
 
 
 def _better_half(

@@ -7,6 +7,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ def radial(angle: Array, k: K) -> Array:
     return np.asarray(angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))))
 
 
+@lru_cache(maxsize=64)
 def fold_angle(k: K) -> float:
     """The angle (radians) up to which Kannala and Brandt's radius rises; pi where it does all the way."""
     if not any(k):

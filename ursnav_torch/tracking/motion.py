@@ -53,6 +53,11 @@ class Hypotheses:
     to_tips_mm: Array
     weight: Array
 
+    def carried(self, T_before_now: Array, lumen: LumenDistance) -> "Hypotheses":
+        """All of them moved as the camera (4, 4) was, in its own frame."""
+        T = self.T_kidney_camera @ T_before_now
+        return Hypotheses(T, lumen.to_calyces(T[:, :3, 3]), self.weight)
+
 
 @dataclass(frozen=True, slots=True)
 class Since:
@@ -75,11 +80,10 @@ class Since:
         """Where a robot told how the camera was carried, the hypotheses go along, and little else is expected."""
         if carried is None:
             return cls(before, seconds, motion)
-        T = before.T_kidney_camera @ carried.T_before_now
         seconds = max(seconds, 1e-3)
         speed, turn = carried.sd_mm / seconds, float(np.degrees(carried.sd_rad)) / seconds
         less = replace(motion, speed_mm_s=max(speed, 1e-3), turn_deg_s=max(turn, 1e-3))
-        return cls(Hypotheses(T, lumen.to_calyces(T[:, :3, 3]), before.weight), seconds, less)
+        return cls(before.carried(carried.T_before_now, lumen), seconds, less)
 
     def log_probability(self, T: Array, to_tips_mm: Array) -> Array:
         """Of poses (N, 4, 4) with their ways to the tips (N, C), see `transition`."""

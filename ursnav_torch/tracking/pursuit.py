@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ursnav_torch.alignment import Refined, Refiner
+from ursnav_torch.alignment import Expectation, Refined, Refiner
 from ursnav_torch.alignment.light import LampState
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.features import Features
@@ -20,6 +20,8 @@ from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 Array = NDArray[np.float64]
 #: Share of a new picture in what a track scores of late.
 _NEWS = 0.1
+#: Alignments that end this near to each other are one; mm at the kidney's scale 1, degrees.
+_SAME_MM, _SAME_DEG = 0.3, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +69,17 @@ class Pursuit:
     Args:
         refiner: aligns poses with pictures.
         settings, same: see `ChallengerSettings`; ``same`` says which poses are one place. Lengths in mm of this kidney.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
 
     Attributes:
         starts: poses that the track is tried to go on from.
         catches: poses that are tried after a slip.
     """
 
-    def __init__(self, refiner: Refiner, settings: ChallengerSettings, same: FilterSettings) -> None:
-        self._refiner, self._settings, self._same = refiner, settings, same
+    def __init__(
+        self, refiner: Refiner, settings: ChallengerSettings, same: FilterSettings, unit_mm: float = 1.0
+    ) -> None:
+        self._refiner, self._settings, self._same, self._unit_mm = refiner, settings, same, unit_mm
         self.starts, self.catches = settings.starts, settings.catches
         self.reset()
 
@@ -86,13 +91,40 @@ class Pursuit:
         self._good: Array | None = None  # last pose that was not badly aligned
         self._evidence, self._deeper = 0.0, 1.0
         self._held: Array | None = None  # pose before the track slipped
-        self._usual, self._slipped = 0.0, 0  # score of late; pictures of the slip so far
+        self._usual, self._usual_first = 0.0, 0.0  # scores of late, on the finer grid and in the first round
+        self._slipped = 0  # pictures of the slip so far
+        self._borne_out = False  # whether the filter, when it last looked, found the track's place the most probable
         self._rng = np.random.default_rng(0)  # the same pictures give the same answers
 
     @property
     def trusted(self) -> float:
         """1 while nothing speaks for a challenger, 0 when it is about to take over."""
         return 1 - min(self._evidence / self._settings.takeover_evidence, 1.0)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing speaks against the track: it was borne out, does not slip, and has no challenger."""
+        return self._borne_out and not self._slipped and self._challenger is None and self._evidence == 0
+
+    def go_on(self, features: Features, prior: Prior, carried: Array | None = None) -> Refined | None:
+        """The pose of a settled track in the next picture, from where motion leads alone.
+
+        Args:
+            features: of the picture.
+            prior, carried: see `Weighed`.
+
+        Returns:
+            None where the track is not settled or the pose is aligned worse than of late: `follow` has to look.
+        """
+        s, own = self._settings, self._incumbent
+        if own is None or not self.settled:
+            return None
+        found = self._aligned(features, self._on(own, carried)[: s.first], prior)
+        if found.score < max(self._usual - s.usual_drop, s.enough_above):
+            return None
+        self._incumbent = _Lead(found, own.refined)
+        self._learn(found)
+        return found
 
     def follow(self, picture: Weighed, anew: bool) -> Refined:
         """The track's pose in the next picture.
@@ -104,29 +136,37 @@ class Pursuit:
             picture: the picture.
             anew: look for the track among all hypotheses.
         """
-        s, T = self._settings, place(picture.found, self._same)
+        s, T, features = self._settings, place(picture.found, self._same), picture.features
         if anew or self._incumbent is None or self._incumbent.refined.score < s.reacquire_below:
-            self._incumbent = _Lead(self._aligned(picture, self._anywhere(picture, T), picture.prior))
-            self._challenger, self._evidence = None, 0.0
-            self._usual, self._slipped = self._incumbent.refined.score, 0
+            self._incumbent = _Lead(self._aligned(features, self._anywhere(picture, T), picture.prior))
+            self._challenger, self._evidence, self._slipped, self._borne_out = None, 0.0, 0, False
+            self._usual = self._incumbent.refined.score
+            self._usual_first = float(self._incumbent.refined.tried_scores[0])
         else:
             agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
             around = self._around(self._incumbent, T, picture)[: self.starts]
             before = self._incumbent.refined
-            self._incumbent = self._caught(picture, _Lead(self._aligned(picture, around, picture.prior), before))
+            enough = max(self._usual_first - s.usual_drop, s.enough_above)
+            own = self._aligned(features, around, picture.prior, s.first, enough)
+            self._incumbent = self._caught(picture, _Lead(own, before))
             here = self._incumbent.refined
             elsewhere: list[Array] = []
-            if not agrees and not self._near(T, here.T_kidney_camera):
+            self._borne_out = agrees or self._near(T, here.T_kidney_camera)
+            if not self._borne_out:
                 elsewhere = [T]
             elif here.score < s.challenge_below:
                 elsewhere = self._apart([here.T_kidney_camera], picture.found, picture.fits, 2)[1:]
             self._incumbent = self._better(picture, self._incumbent, elsewhere)
-        refined = self._incumbent.refined
+        self._learn(self._incumbent.refined)
+        return self._incumbent.refined
+
+    def _learn(self, refined: Refined) -> None:
+        """Take in how the track is aligned."""
         self._usual += _NEWS * (refined.score - self._usual)
+        self._usual_first += _NEWS * (float(refined.tried_scores[0]) - self._usual_first)
         self._light.learn(refined.light, refined.score)
-        if refined.score >= s.reacquire_below:
+        if refined.score >= self._settings.reacquire_below:
             self._good = refined.T_kidney_camera
-        return refined
 
     def _caught(self, picture: Weighed, own: _Lead) -> _Lead:
         """The track, or, where it has slipped, a better aligned pose near the one that it slipped from."""
@@ -142,7 +182,7 @@ class Pursuit:
         steps = self._rng.normal(size=(self.catches, 6)) * sd
         turns = Rotation.from_rotvec(steps[:, 3:]).as_matrix()
         starts = [self._held @ transform_from(R, way) for R, way in zip(turns, steps[:, :3], strict=True)]
-        found = self._aligned(picture, starts, picture.prior)
+        found = self._aligned(picture.features, starts, picture.prior)
         return _Lead(found, own.before) if found.score > own.refined.score + s.score_step / 2 else own
 
     def _better(self, picture: Weighed, own: _Lead, elsewhere: list[Array]) -> _Lead:
@@ -152,7 +192,7 @@ class Pursuit:
         if not tried:
             self._evidence = max(self._evidence - 1.0, 0.0)
             return own
-        found = self._aligned(picture, tried)
+        found = self._aligned(picture.features, tried)
         if self._near(found.T_kidney_camera, own.refined.T_kidney_camera):
             self._challenger, self._evidence = None, max(self._evidence - 1.0, 0.0)
             return own
@@ -185,17 +225,21 @@ class Pursuit:
                 tried.append(pose)
         return tried
 
-    def _around(self, own: _Lead, T: Array, picture: Weighed) -> list[Array]:
-        """Where the track may go on: ahead, a step deeper or less deep in turn, and places among the hypotheses nearby.
+    def _on(self, own: _Lead, carried: Array | None) -> list[Array]:
+        """Where a track may go on: ahead, and a step deeper or less deep in turn.
 
         Depth is what alignment tells least, and where it slips.
         """
-        s, near_mm = self._settings, self._same.same_place_mm
-        ahead, found = own.ahead(picture.carried), picture.found
+        ahead = own.ahead(carried)
         self._deeper = -self._deeper
         slid = ahead[-1].copy()
-        slid[:3, 3] += self._deeper * s.depth_step_mm * slid[:3, 2]
-        tried = [*ahead, slid]
+        slid[:3, 3] += self._deeper * self._settings.depth_step_mm * slid[:3, 2]
+        return [ahead[0], slid, *ahead[1:]]
+
+    def _around(self, own: _Lead, T: Array, picture: Weighed) -> list[Array]:
+        """Where the track may go on, and places among the hypotheses nearby."""
+        s, near_mm, found = self._settings, self._same.same_place_mm, picture.found
+        tried = self._on(own, picture.carried)
         order = np.argsort(-found.weight)[: self._same.best_fitting]
         for pose in [T, *found.T_kidney_camera[order]]:
             apart = [np.linalg.norm(pose[:3, 3] - t[:3, 3]) for t in tried]
@@ -203,8 +247,14 @@ class Pursuit:
                 tried.append(pose)
         return tried
 
-    def _aligned(self, picture: Weighed, candidates: list[Array], prior: Prior | None = None) -> Refined:
-        return self._refiner.refine(picture.features, candidates, self._light.value, self._light.known, prior)
+    def _aligned(
+        self, features: Features, candidates: list[Array], prior: Prior | None = None, first: int | None = None,
+        enough: float | None = None,
+    ) -> Refined:  # fmt: skip
+        """The best pose near one of some candidates; ``first`` and ``enough`` as `Expectation` has them."""
+        light, known, unit = self._light.value, self._light.known, self._unit_mm
+        told = Expectation(light, known, prior, first, enough, _SAME_MM * unit, _SAME_DEG)
+        return self._refiner.refine(features, candidates, told)
 
     def _near(self, T_a: Array, T_b: Array) -> bool:
         """Whether two poses are one place."""

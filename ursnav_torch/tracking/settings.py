@@ -42,6 +42,8 @@ class FilterSettings:
         bridge_s: pictures that show nothing are bridged for this long, or longer where a robot tells of its motion.
         drift_mm_s: standard deviation of where the scope goes meanwhile; from few pictures bridged on the choosing
             flights, and not judged on others.
+        every_s: a settled track, which the picture before bore out, is weighed against all views this often; between,
+            its pose is aligned alone, and the hypotheses go along with it.
     """
 
     likelihood_scale: float = 0.15
@@ -52,12 +54,13 @@ class FilterSettings:
     incumbent_share: float = 0.5
     bridge_s: float = 1.0
     drift_mm_s: float = 5.0
+    every_s: float = 0.25
 
     def __post_init__(self) -> None:
-        if not 0 < self.best_fitting < self.hypotheses or self.likelihood_scale <= 0:
+        if not 0 < self.best_fitting < self.hypotheses or self.likelihood_scale <= 0 or not self.every_s >= 0:
             raise InputError(
-                "Tracking needs 0 < best_fitting < hypotheses and likelihood_scale > 0, got "
-                f"{self.best_fitting}, {self.hypotheses} and {self.likelihood_scale}."
+                "Tracking needs 0 < best_fitting < hypotheses, likelihood_scale > 0 and every_s >= 0, got "
+                f"{self.best_fitting}, {self.hypotheses}, {self.likelihood_scale} and {self.every_s}."
             )
 
 
@@ -67,6 +70,9 @@ class ChallengerSettings:
 
     Attributes:
         starts: poses that the incumbent is tried to go on from.
+        first: so many of them are tried first, and the others where none of these is aligned as well as of late.
+        usual_drop: as well as of late is down to so much below the mean score of late.
+        enough_above: and at least this.
         depth_step_mm: step in depth that is tried; other poses tried are half as far apart at least.
         reacquire_below: after an alignment that scores less, the track is looked for anew among all hypotheses.
         challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent.
@@ -82,6 +88,9 @@ class ChallengerSettings:
     """
 
     starts: int = 5
+    first: int = 2
+    usual_drop: float = 0.08
+    enough_above: float = 0.5
     depth_step_mm: float = 2.0
     reacquire_below: float = 0.35
     challenge_below: float = 0.65
@@ -95,10 +104,11 @@ class ChallengerSettings:
     catch_deg: float = 6.0
 
     def __post_init__(self) -> None:
-        if self.starts < 1 or self.catches < 0 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
+        counts, units = (self.starts, self.first), (self.score_step, self.prior_weight, self.takeover_evidence)
+        if min(counts) < 1 or self.catches < 0 or min(units) <= 0:
             raise InputError(
-                "A challenger needs starts >= 1, catches >= 0, score_step, prior_weight and takeover_evidence > 0; got "
-                f"{self.starts}, {self.catches}, {self.score_step}, {self.prior_weight} and {self.takeover_evidence}."
+                "A challenger needs starts, first >= 1, catches >= 0, score_step, prior_weight and takeover_evidence "
+                f"> 0; got {counts}, {self.catches} and {units}."
             )
 
 

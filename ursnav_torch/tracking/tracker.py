@@ -48,6 +48,7 @@ from ursnav_torch.vid import Vid
 Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
 _LOOKED_AT = (96, 192, 384)  # after so many pictures it is looked for what never changes in them
+_SAME_TIME_S = 1e-3
 _NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
@@ -126,7 +127,7 @@ class Tracker:
         video = RefinementSettings(starts, iterations=6, fine_rounds=1, at_first=starts, verify=False)
         self._refiner = Refiner(vid, refinement or video)
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
-        self._pursuit = Pursuit(self._refiner, s.challenger, s.filter)
+        self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
         self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
         self._whole = self._extractor = DefaultExtractor(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._extractor.working_camera
@@ -171,6 +172,9 @@ class Tracker:
         self._aligned: Refined | None = None  # that picture's pose
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
+        self._looked_s: float | None = None  # when a picture was last weighed against all views
+        self._found: Hypotheses | None = None  # what that left, carried along since
+        self._fit = np.nan
         self._seen_s, self._state = 0.0, SEARCHING
         self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
@@ -280,17 +284,21 @@ class Tracker:
         as_taken, features = features, self._pattern.removed(features, self._extractor)
         carried, motion = self._carried, self.settings.motion
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
-        found, fits = self._filter.update(features, since, sensor)
-        fit = float(fits[found.weight.argmax()])
-        way = None if carried is None else carried.T_before_now
-        picture = Weighed(features, found, fits, self._expected(since, sensor), sensor, way)
-        refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
+        expected, way = self._expected(since, sensor), None if carried is None else carried.T_before_now
+        evidence, refined = None, self._gone_on(features, expected, way, t_s)
+        if refined is None:
+            self._found, fits = self._filter.update(features, since, sensor)
+            self._fit = float(fits[self._found.weight.argmax()])
+            picture = Weighed(features, self._found, fits, expected, sensor, way)
+            refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
+            plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
+            evidence = self._judge(picture, refined.T_kidney_camera, plain, t_s)
+        found, fit = self._found, self._fit
+        assert found is not None
         self._learn_plays(refined, passed)
         if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         self._remember(found, refined.T_kidney_camera, t_s)
-        plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
-        evidence = self._judge(picture, refined.T_kidney_camera, plain, passed)
         if self._state != TRACKING:
             self._smooth.reset()
             spent = time.perf_counter() - start
@@ -343,8 +351,23 @@ class Tracker:
         self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _judge(self, picture: Weighed, T: Array, score: float, seconds: float) -> KidneyEvidence:
+    def _gone_on(self, features: Features, expected: Prior, way: Array | None, t_s: float) -> Refined | None:
+        """The pose of a settled track, aligned alone, with the hypotheses carried along; None where it is time, or
+        necessary, to weigh the picture against all views."""
+        due = self._looked_s is None or t_s - self._looked_s >= self.settings.filter.every_s - _SAME_TIME_S
+        sure = self._sure is not None and self.state_at(self._sure) == TRACKING
+        if due or not sure or self._state != TRACKING or self._aligned is None or self._found is None:
+            return None
+        before = self._aligned.T_kidney_camera
+        refined = self._pursuit.go_on(features, expected, way)
+        if refined is not None:
+            self._found = self._found.carried(inverse(before) @ refined.T_kidney_camera, self.lumen)
+        return refined
+
+    def _judge(self, picture: Weighed, T: Array, score: float, t_s: float) -> KidneyEvidence:
         """Settle the state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
+        seconds = self.settings.own_kidney.frame_s if self._looked_s is None else max(t_s - self._looked_s, 1e-3)
+        self._looked_s = t_s
         near = self._near(picture.found.T_kidney_camera, T)
         worst = float(picture.fits.min())  # what was not kept fits no better
         here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))

@@ -1,6 +1,6 @@
 """Planning the virtual views: where the scope can stand, and what it can look at from there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ class PlanSettings:
     Attributes:
         views_per_calyx: views labeled with each calyx.
         passage_views: views along the way from the pelvis to where the calyces' own views begin.
+        around: so many views for each of those look any way the scope can bend to, most of them where there is room
+            to turn: between calyces, and as it comes in, a scope looks at walls that lie on no way.
         nearest_mm, farthest_mm: range of distances along the centerline from a calyx's tip.
         tilt_deg: spread (standard deviation) of the viewing direction about the way in; the scope's wrist.
         largest_tilt_deg: no view beyond.
@@ -36,6 +38,7 @@ class PlanSettings:
 
     views_per_calyx: int = 240
     passage_views: int = 240
+    around: float = 1.0
     nearest_mm: float = 2.5
     farthest_mm: float = 13.0
     tilt_deg: float = 16.0
@@ -48,10 +51,10 @@ class PlanSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.views_per_calyx < 1 or self.passage_views < 0:
+        if self.views_per_calyx < 1 or self.passage_views < 0 or not 0 <= self.around <= 100:
             raise InputError(
-                f"A VID needs views_per_calyx >= 1 and passage_views >= 0, got {self.views_per_calyx} and "
-                f"{self.passage_views}."
+                "A VID needs views_per_calyx >= 1, passage_views >= 0 and 0 <= around <= 100, got "
+                f"{self.views_per_calyx}, {self.passage_views} and {self.around}."
             )
         if not 0 < self.nearest_mm < self.farthest_mm:
             raise InputError(f"Expected 0 < nearest_mm < farthest_mm, got {self.nearest_mm} and {self.farthest_mm}.")
@@ -84,14 +87,14 @@ class Plan:
 
 
 def plan_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings) -> Plan:
-    """Views before every calyx, evenly spread over distance, offset and tilt, then along the passages.
+    """Views before every calyx, evenly spread over distance, offset and tilt, along the passages, and all around.
 
     Raises:
         InputError: a calyx has too little room for the scope; the message names it.
     """
     settings = scaled(settings, kidney.scale)
     parts = [_calyx_views(kidney, lumen, settings, calyx) for calyx in range(len(kidney.calyces))]
-    parts.append(_passage_views(kidney, lumen, settings))
+    parts += [_passage_views(kidney, lumen, settings), _around_views(kidney, lumen, settings)]
     T = np.concatenate(parts)
     return Plan(T, observed_calyx(T, kidney, lumen))
 
@@ -135,6 +138,32 @@ def _passage_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings)
     return T[order[: settings.passage_views]]
 
 
+def _around_views(kidney: Kidney, lumen: LumenDistance, settings: PlanSettings) -> Array:
+    """Views (N, 4, 4) in every direction within reach, the more of them the wider the lumen is there.
+
+    Raises:
+        InputError: there is no room for them.
+    """
+    needed = round(settings.around * settings.passage_views)
+    if needed == 0:
+        return np.zeros((0, 4, 4))
+    wide = replace(settings, tilt_deg=np.inf, largest_tilt_deg=179.0)
+    ways = [_Way.to_calyx(kidney, calyx) for calyx in range(len(kidney.calyces))]
+    sequence, found, count = qmc.Sobol(8, seed=settings.seed * 1009 + 499), list[Array](), 0
+    for _ in range(20):
+        u = sequence.random(2 ** int(np.ceil(np.log2(16 * needed))))
+        chosen = np.minimum((u[:, 6] * len(ways)).astype(int), len(ways) - 1)
+        for i, way in enumerate(ways):
+            at, v = u[chosen == i, 0] * (way.length - settings.nearest_mm), u[chosen == i]
+            kept = v[:, 7] < (way.at(at)[1] / way.radius_mm.max()) ** 2
+            found.append(_poses(way, at[kept], v[kept, 1:6], lumen, wide))
+            count += len(found[-1])
+        if count >= needed:
+            T = np.concatenate(found)
+            return T[np.random.default_rng(settings.seed + 1).permutation(len(T))[:needed]]
+    raise InputError(f"The lumen has room for only {count} of {needed} views around; lower views.around.")
+
+
 def _poses(way: "_Way", at_mm: Array, u: Array, lumen: LumenDistance, settings: PlanSettings) -> Array:
     """Poses at lengths ``at_mm`` (N,) of a way, spread by uniform numbers ``u`` (N, 5), less those out of reach."""
     center, radius, forward = way.at(at_mm)
@@ -143,7 +172,7 @@ def _poses(way: "_Way", at_mm: Array, u: Array, lumen: LumenDistance, settings: 
     room = np.maximum(radius - settings.scope_radius_mm, 0.0)
     offset, turn = (room * np.sqrt(u[:, 0]))[:, None], 2 * np.pi * u[:, 1:2]
     position = center + offset * (np.cos(turn) * side + np.sin(turn) * up)
-    tilt = np.radians(settings.tilt_deg) * np.sqrt(-2 * np.log(1 - 0.999 * u[:, 2]))
+    tilt = _tilts(u[:, 2], settings.tilt_deg)
     around = 2 * np.pi * u[:, 3:4]
     aside = np.cos(around) * side + np.sin(around) * up
     direction = np.cos(tilt)[:, None] * forward + np.sin(tilt)[:, None] * aside
@@ -155,6 +184,13 @@ def _poses(way: "_Way", at_mm: Array, u: Array, lumen: LumenDistance, settings: 
     needed = np.minimum(settings.scope_radius_mm, np.maximum(_MIDDLE * radius, least))
     keep &= lumen.clearance_mm(position) >= needed
     return look_along(position[keep], direction[keep], roll[keep])
+
+
+def _tilts(u: Array, sd_deg: float) -> Array:
+    """Angles (N,), radians, of directions spread normally about an axis; evenly over the sphere where sd is inf."""
+    if np.isinf(sd_deg):
+        return np.asarray(np.arccos(1 - 2 * u))
+    return np.asarray(np.radians(sd_deg) * np.sqrt(-2 * np.log(1 - 0.999 * u)))
 
 
 @dataclass(frozen=True, slots=True)
