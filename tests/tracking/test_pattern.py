@@ -41,10 +41,10 @@ def test_a_halo_is_learned_from_other_views_and_taken_out_of_the_next(
     seen = [extractor.extract(with_halo(renderer.render(T).image)) for T in vid.T_kidney_camera[:24]]
     for i in range(20):
         pattern.learn(seen[i], clean[i].fields[0].numpy(), vid.T_kidney_camera[i])
-    left = [1 - likeness(pattern.removed(seen[i], extractor), clean[i]) for i in range(20, 24)]
+    left = [1 - likeness(pattern.removed(seen[i]), clean[i]) for i in range(20, 24)]
     before = [1 - likeness(seen[i], clean[i]) for i in range(20, 24)]
     assert np.mean(left) < 0.75 * np.mean(before)
-    assert pattern.removed(seen[20], extractor).edges is seen[20].edges
+    assert pattern.removed(seen[20]).edges is seen[20].edges
 
 
 def likeness(a: Features, b: Features) -> float:
@@ -64,12 +64,12 @@ def test_the_first_picture_counts_as_one_of_five_and_old_ones_fade(
     for _ in range(400):
         pattern.learn(features, flat, HERE)
     torch.testing.assert_close(pattern.value(), relief * (1 / 0.03) / (1 / 0.03 + 4.0), atol=1e-3, rtol=1e-3)
-    torch.testing.assert_close(pattern.removed(features, extractor).fields[0], relief - pattern.value())
+    torch.testing.assert_close(pattern.removed(features).fields[0], relief - pattern.value())
 
 
 def test_nothing_learned_nothing_removed(vid: Vid, picture: np.ndarray, extractor: DefaultExtractor) -> None:
     features = extractor.extract(picture)
-    assert ScopePattern().removed(features, extractor) is features
+    assert ScopePattern().removed(features) is features
 
 
 def test_maps_and_fields_follow_the_relief(picture: np.ndarray, extractor: DefaultExtractor) -> None:

@@ -4,12 +4,14 @@ It stays where it is while the wall moves, so it is what pictures have, on avera
 them. Subtracted, it no longer looks like relief (flat-field correction, learned on the way).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ursnav_torch.features import DefaultExtractor, Features
+from ursnav_torch.features import NO_MAPS, Features
 from ursnav_torch.geometry import rotation_angle
 
 Array = NDArray[np.float64]
@@ -37,10 +39,15 @@ class ScopePattern:
         """The pattern (h, w) in units of relief, at the extractor's working size; None before the first picture."""
         return None if self._sum is None else self._sum / (self._count + _AGAINST)
 
-    def removed(self, features: Features, extractor: DefaultExtractor) -> Features:
-        """Features without the pattern, as the extractor makes them of a relief."""
+    def removed(self, features: Features) -> Features:
+        """The relief without the pattern, with no maps: what an alignment reads, see `DefaultExtractor.with_relief`.
+
+        Features from which nothing is removed keep their maps.
+        """
         pattern = self.value()
-        return features if pattern is None else extractor.with_relief(features, features.fields[0] - pattern)
+        if pattern is None:
+            return features
+        return replace(features, fields=features.fields[:1] - pattern, maps=NO_MAPS)
 
     def tells(self, T_kidney_camera: Array, score: float) -> bool:
         """Whether a picture aligned at a pose (4, 4) with this score teaches something."""

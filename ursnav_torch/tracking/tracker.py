@@ -281,13 +281,15 @@ class Tracker:
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
         """The answer to a picture that shows something."""
         passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
-        as_taken, features = features, self._pattern.removed(features, self._extractor)
+        as_taken, features = features, self._pattern.removed(features)
         carried, motion = self._carried, self.settings.motion
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
         expected, way = self._expected(since, sensor), None if carried is None else carried.T_before_now
         evidence, refined = None, self._gone_on(features, expected, way, t_s)
         if refined is None:
-            self._found, fits = self._filter.update(features, since, sensor)
+            bare = not features.maps.numel()
+            mapped = self._extractor.with_relief(features, features.fields[0]) if bare else features
+            self._found, fits = self._filter.update(mapped, since, sensor)
             self._fit = float(fits[self._found.weight.argmax()])
             picture = Weighed(features, self._found, fits, expected, sensor, way)
             refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
