@@ -59,7 +59,8 @@ def fit_position(report: Report, records: Sequence[Record], save: bool) -> None:
 
 def _seen(record: Record) -> NDArray[np.bool_]:
     """Pictures (N,) that showed something, and have a pose."""
-    return np.isfinite(record.off_mm) & np.isfinite(record.told).all(1)
+    told = record.told[:, [TOLD.index(name) for name in ("score", "spread_mm")]]
+    return np.isfinite(record.off_mm) & np.isfinite(told).all(1)
 
 
 def _errors(record: Record) -> tuple[Array, Array]:

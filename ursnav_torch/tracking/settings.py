@@ -88,7 +88,7 @@ class ChallengerSettings:
     """
 
     starts: int = 5
-    first: int = 2
+    first: int = 3
     usual_drop: float = 0.08
     enough_above: float = 0.5
     depth_step_mm: float = 2.0
