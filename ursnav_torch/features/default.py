@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera, mask_text
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features.base import NO_EDGES, NOTHING_BEFORE, NOTHING_READ, EdgePoints, Features
+from ursnav_torch.features.base import NO_EDGES, NO_MAPS, NOTHING_BEFORE, NOTHING_READ, EdgePoints, Features
 from ursnav_torch.features.edges import edge_points, gradient, link, thin_gradient
 from ursnav_torch.features.flatten import LocalPlane, MaskedBlur, blur, flat_of, local_contrast, remove_stripes
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
@@ -106,8 +106,14 @@ class DefaultExtractor:
         """(h, w) 1.0 where the reduced picture is to be trusted."""
         return self._small_mask
 
-    def extract(self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True) -> Features:
-        """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few."""
+    def extract(
+        self, image: NDArray[np.uint8], virtual: bool = False, edges: bool = True, bare: bool = False
+    ) -> Features:
+        """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few.
+
+        ``bare`` features are what a track reads of every picture: the relief, and what lies before the wall. Their maps
+        come from `with_relief` where somebody searches by them; contrast and grain nobody asks.
+        """
         check_image(image, self.camera)
         gray = signal(image)
         refuse_blank(gray.flatten()[self._probes])
@@ -115,7 +121,7 @@ class DefaultExtractor:
         detail, variance = self._around.detail(log_image)
         relief, valid = flat_of(detail, variance, self._small_mask), self._small_mask
         contrast = grain = 0.0
-        if not virtual:  # a drawn view's are of no interest
+        if not virtual and not bare:  # a drawn view's are of no interest
             _, of_coarse = self._around.detail(self._blurs[COARSE](log_image))
             contrast = local_contrast(of_coarse, self._small_mask)
             grain = local_contrast(variance, self._small_mask) - contrast
@@ -126,11 +132,11 @@ class DefaultExtractor:
             relief = blend(relief, read[0], self._small_mask, self._learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
-        fields = self._fields(relief)
+        fields = relief[None] if bare else self._fields(relief)
         found, edge_image = NO_EDGES, np.zeros(image.shape[:2], bool)
         if edges:
             found, edge_image = self._edge_points(relief, valid)
-        maps = polar_maps(fields, self._polar)[0]
+        maps = NO_MAPS if bare else polar_maps(fields, self._polar)[0]
         if not bodies and not self._partial:
             valid = NOTHING_BEFORE
         return Features(found, maps, edge_image, fields, contrast, grain, valid, bodies, read)

@@ -211,7 +211,7 @@ class Tracker:
         self._look_for_the_scene(image)
         with torch.inference_mode(), one_thread_an_operation():
             try:
-                return self._extractor.extract(image, edges=edges or read)
+                return self._extractor.extract(image, edges=edges or read, bare=True)
             except FeatureError:
                 pass
         return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
@@ -235,12 +235,11 @@ class Tracker:
         relief = features.fields[:1]
         return torch.cat([relief, features.valid[None]]) if features.valid.numel() else relief
 
-    def recall(self, planes: Tensor) -> Features:
+    @staticmethod
+    def recall(planes: Tensor) -> Features:
         """What `follow` needs, from no more than the `planes` (P, H, W) of what `extract` gave."""
         valid = planes[1] if len(planes) > 1 else NOTHING_BEFORE
-        kept = Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), planes[:1], valid=valid)
-        with torch.inference_mode(), one_thread_an_operation():
-            return self._extractor.with_relief(kept, planes[0])
+        return Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), planes[:1], valid=valid)
 
     def follow(
         self,
