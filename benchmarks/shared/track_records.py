@@ -18,12 +18,14 @@ from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.settings import TrackSettings
-from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.tracking.tracker import Tracked, Tracker, video_refinement
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 #: The settings classes of a `Tracker` by their names in `TrackSettings`.
 SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
+#: And how poses are aligned in a video.
+ALIGNMENT = "alignment"
 #: Columns of `Record.told`: score of the alignment; score as taken, lead and fit of the evidence; standard deviation of
 #: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed.
 TOLD = ("score", "plain", "lead", "fit", "sd_mm", "spread_mm", "spread_deg", "share", "smoothed_mm")
@@ -53,14 +55,15 @@ class Choice:
     def groups(self) -> dict[str, Any]:
         """Arguments for the `Tracker`."""
         found: dict[str, Any] = {}
-        kinds = SETTINGS_GROUPS
+        kinds = SETTINGS_GROUPS | {ALIGNMENT: video_refinement}
         for group, name, value in self.overrides:
-            if group not in kinds or name not in {f.name for f in fields(kinds[group])}:
+            base = found[group] if group in found else kinds[group]() if group in kinds else None
+            if base is None or name not in {f.name for f in fields(base)}:
                 raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
-            base = found.get(group, kinds[group]())
             kind = int if isinstance(getattr(base, name), int) else float
             found[group] = replace(base, **{name: kind(value)})
-        return {"settings": TrackSettings(**found)}
+        refinement = found.pop(ALIGNMENT, None)
+        return {"settings": TrackSettings(**found), "refinement": refinement}
 
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]

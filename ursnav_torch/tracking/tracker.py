@@ -41,7 +41,7 @@ from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.smooth import PoseFilter
 from ursnav_torch.vid import Vid
 
@@ -93,6 +93,12 @@ class Tracked:
         return seen and (self.certainty is None or len(self.certainty.calyces) == 1)
 
 
+def video_refinement(starts: int = ChallengerSettings().starts) -> RefinementSettings:
+    """How poses are aligned in a video, with as many starts as a track has and those of one that is looked for anew."""
+    most = starts + 3
+    return RefinementSettings(most, iterations=6, fine_rounds=1, at_first=most, verify=False)
+
+
 class Tracker:
     """Follows the scope in one kidney, picture by picture.
 
@@ -123,9 +129,7 @@ class Tracker:
             )
         self.vid, self.lumen = vid, vid.lumen
         self.settings = s = scaled(settings or TrackSettings(), vid.kidney.scale)
-        starts = s.challenger.starts + 3
-        video = RefinementSettings(starts, iterations=6, fine_rounds=1, at_first=starts, verify=False)
-        self._refiner = Refiner(vid, refinement or video)
+        self._refiner = Refiner(vid, refinement or video_refinement(s.challenger.starts))
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
         self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
