@@ -139,16 +139,6 @@ def test_what_is_known_of_poses_beforehand_counts_where_they_are_ranked(
     assert told.score < plain.score <= 1.0  # the score is the picture's alone
 
 
-@pytest.mark.parametrize(("first", "enough", "tried"), [(1, 0.5, 1), (1, 1.1, 3), (2, 0.5, 2), (None, None, 3)])
-def test_the_others_are_tried_where_the_first_are_not_enough(
-    first: int | None, enough: float | None, tried: int, fine: Vid, phantom: Kidney, refiner: Refiner
-) -> None:
-    T = fine.T_kidney_camera[3]
-    starts = [T, fine.T_kidney_camera[30], fine.T_kidney_camera[44]]
-    found = refiner.refine(features(fine, phantom, T), starts, Expectation(first=first, enough=enough))
-    assert len(found.tried) == tried and found.hypothesis == 0
-
-
 def test_hypotheses_that_end_at_one_pose_are_aligned_finely_once(
     fine: Vid, phantom: Kidney, refiner: Refiner, monkeypatch: pytest.MonkeyPatch
 ) -> None:

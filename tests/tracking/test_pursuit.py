@@ -109,7 +109,7 @@ def test_a_settled_track_goes_on_from_where_motion_leads_alone() -> None:
     assert pursuit.settled
     found = pursuit.go_on(None, flat)  # type: ignore[arg-type]
     assert found is not None and at(found, HERE)
-    assert len(scores.asked[-1]) == ChallengerSettings().first
+    assert len(scores.asked[-1]) == 3 < ChallengerSettings().starts
 
 
 def test_a_settled_track_that_is_aligned_worse_than_of_late_has_to_be_looked_at() -> None:

@@ -71,22 +71,18 @@ class RefinementSettings:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """What is known before a picture is looked at, and what is enough.
+    """What is known before a picture is looked at.
 
     Attributes:
         light: (5,) where the light was found before, if it was.
         light_known: keep to that light.
         prior: added to the scores (K,) of poses (K, 4, 4) where they are ranked; none when None.
-        first: so many candidates are tried first, `RefinementSettings.at_first` when None, and the others only where
-            none of these has a score of ``enough`` on the coarser grid, `RefinementSettings.enough` when None.
         same_mm, same_deg: of hypotheses that end within both of each other the first round leaves the best alone.
     """
 
     light: Array | None = None
     light_known: bool = False
     prior: Prior | None = None
-    first: int | None = None
-    enough: float | None = None
     same_mm: float = 0.0
     same_deg: float = 0.0
 
@@ -167,7 +163,10 @@ class Refiner:
             InputError: no candidate, or one that is no rigid transform.
         """
         tried, known = candidates[: self.settings.hypotheses], expected.light_known
-        coarse = self._enough(features, tried, expected)
+        first = self.settings.at_first
+        coarse = self.coarsely(features, tried[:first], expected.light, known)
+        if len(tried) > first and max(state.score for state in coarse) < self.settings.enough:
+            coarse += self.coarsely(features, tried[first:], expected.light, known)
         odds = self._log_odds(features, coarse)
         numbered = _apart(list(enumerate(coarse)), expected)
         chosen = None if odds is None else odds[[i for i, _ in numbered]]
@@ -186,16 +185,6 @@ class Refiner:
         log_odds = np.zeros(len(coarse)) if odds is None else odds
         found = (best.T_kidney_camera, best.score, i, taken, best.light, best.drawing)
         return Refined(*found, np.asarray(tried[i], float), poses, scores[ends], log_odds[ends], odds is not None)
-
-    def _enough(self, features: Features, tried: Sequence[Array], expected: Expectation) -> list[Aligned]:
-        """The first round over the candidates tried first, and over the others where those are not enough."""
-        s, light, known = self.settings, expected.light, expected.light_known
-        first = s.at_first if expected.first is None else expected.first
-        enough = s.enough if expected.enough is None else expected.enough
-        coarse = self.coarsely(features, tried[:first], light, known)
-        if len(tried) > first and max(state.score for state in coarse) < enough:
-            coarse += self.coarsely(features, tried[first:], light, known)
-        return coarse
 
     def _log_odds(self, features: Features, states: Sequence[Aligned]) -> Array | None:
         """Log-odds (K,) of hypotheses, up to a constant; None where they are not verified."""

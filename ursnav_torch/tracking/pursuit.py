@@ -91,8 +91,7 @@ class Pursuit:
         self._good: Array | None = None  # last pose that was not badly aligned
         self._evidence, self._deeper = 0.0, 1.0
         self._held: Array | None = None  # pose before the track slipped
-        self._usual, self._usual_first = 0.0, 0.0  # scores of late, on the finer grid and in the first round
-        self._slipped = 0  # pictures of the slip so far
+        self._usual, self._slipped = 0.0, 0  # score of late; pictures of the slip so far
         self._borne_out = False  # whether the filter, when it last looked, found the track's place the most probable
         self._rng = np.random.default_rng(0)  # the same pictures give the same answers
 
@@ -111,7 +110,8 @@ class Pursuit:
 
         Args:
             features: of the picture.
-            prior, carried: see `Weighed`.
+            prior: see `Weighed`.
+            carried: (4, 4), see `Weighed`.
 
         Returns:
             None where the track is not settled or the pose is aligned worse than of late: `follow` has to look.
@@ -119,7 +119,7 @@ class Pursuit:
         s, own = self._settings, self._incumbent
         if own is None or not self.settled:
             return None
-        found = self._aligned(features, self._on(own, carried)[: s.first], prior)
+        found = self._aligned(features, self._on(own, carried)[: self.starts], prior)
         if found.score < max(self._usual - s.usual_drop, s.enough_above):
             return None
         self._incumbent = _Lead(found, own.refined)
@@ -141,13 +141,11 @@ class Pursuit:
             self._incumbent = _Lead(self._aligned(features, self._anywhere(picture, T), picture.prior))
             self._challenger, self._evidence, self._slipped, self._borne_out = None, 0.0, 0, False
             self._usual = self._incumbent.refined.score
-            self._usual_first = float(self._incumbent.refined.tried_scores[0])
         else:
             agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
             around = self._around(self._incumbent, T, picture)[: self.starts]
             before = self._incumbent.refined
-            enough = max(self._usual_first - s.usual_drop, s.enough_above)
-            own = self._aligned(features, around, picture.prior, s.first, enough)
+            own = self._aligned(features, around, picture.prior)
             self._incumbent = self._caught(picture, _Lead(own, before))
             here = self._incumbent.refined
             elsewhere: list[Array] = []
@@ -163,7 +161,6 @@ class Pursuit:
     def _learn(self, refined: Refined) -> None:
         """Take in how the track is aligned."""
         self._usual += _NEWS * (refined.score - self._usual)
-        self._usual_first += _NEWS * (float(refined.tried_scores[0]) - self._usual_first)
         self._light.learn(refined.light, refined.score)
         if refined.score >= self._settings.reacquire_below:
             self._good = refined.T_kidney_camera
@@ -247,14 +244,9 @@ class Pursuit:
                 tried.append(pose)
         return tried
 
-    def _aligned(
-        self, features: Features, candidates: list[Array], prior: Prior | None = None, first: int | None = None,
-        enough: float | None = None,
-    ) -> Refined:  # fmt: skip
-        """The best pose near one of some candidates; ``first`` and ``enough`` as `Expectation` has them."""
-        light, known, unit = self._light.value, self._light.known, self._unit_mm
-        told = Expectation(light, known, prior, first, enough, _SAME_MM * unit, _SAME_DEG)
-        return self._refiner.refine(features, candidates, told)
+    def _aligned(self, features: Features, candidates: list[Array], prior: Prior | None = None) -> Refined:
+        light, known, near = self._light.value, self._light.known, (_SAME_MM * self._unit_mm, _SAME_DEG)
+        return self._refiner.refine(features, candidates, Expectation(light, known, prior, *near))
 
     def _near(self, T_a: Array, T_b: Array) -> bool:
         """Whether two poses are one place."""

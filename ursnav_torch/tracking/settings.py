@@ -70,9 +70,8 @@ class ChallengerSettings:
 
     Attributes:
         starts: poses that the incumbent is tried to go on from.
-        first: so many of them are tried first, and the others where none of these is aligned as well as of late.
-        usual_drop: as well as of late is down to so much below the mean score of late.
-        enough_above: and at least this.
+        usual_drop, enough_above: a settled track goes on without a look at the filter where its alignment scores no
+            more than this below its mean of late, and at least this.
         depth_step_mm: step in depth that is tried; other poses tried are half as far apart at least.
         reacquire_below: after an alignment that scores less, the track is looked for anew among all hypotheses.
         challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent.
@@ -88,7 +87,6 @@ class ChallengerSettings:
     """
 
     starts: int = 5
-    first: int = 3
     usual_drop: float = 0.08
     enough_above: float = 0.5
     depth_step_mm: float = 2.0
@@ -104,11 +102,10 @@ class ChallengerSettings:
     catch_deg: float = 6.0
 
     def __post_init__(self) -> None:
-        counts, units = (self.starts, self.first), (self.score_step, self.prior_weight, self.takeover_evidence)
-        if min(counts) < 1 or self.catches < 0 or min(units) <= 0:
+        if self.starts < 1 or self.catches < 0 or min(self.score_step, self.prior_weight, self.takeover_evidence) <= 0:
             raise InputError(
-                "A challenger needs starts, first >= 1, catches >= 0, score_step, prior_weight and takeover_evidence "
-                f"> 0; got {counts}, {self.catches} and {units}."
+                "A challenger needs starts >= 1, catches >= 0, score_step, prior_weight and takeover_evidence > 0; got "
+                f"{self.starts}, {self.catches}, {self.score_step}, {self.prior_weight} and {self.takeover_evidence}."
             )
 
 
