@@ -9,7 +9,7 @@ drawing, features, joining and storing. Arguments, each ``key=value``: ``views=2
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         for _ in range(settings["repeats"]):
-            took, megabytes, views = _build(settings, work / "vid")
+            took, megabytes, views = build(settings, work / "vid")
             seconds.append(took)
     rates = [views / s for s in seconds]
     per_view = sorted(seconds)[len(seconds) // 2] / views
@@ -49,8 +49,8 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _build(settings: dict[str, object], out: Path) -> tuple[float, float, int]:
-    """Seconds, MB and number of views of one build."""
+def build(settings: Mapping[str, object], out: Path) -> tuple[float, float, int]:
+    """Seconds, MB and number of views of one build into a folder; reads ``views``, ``workers`` and ``compute``."""
     kidney = make_phantom_kidney(seed=2300)
     each = max(1, round((int(str(settings["views"])) - _PASSAGE) / len(kidney.calyces)))
     plan = PlanSettings(views_per_calyx=each, passage_views=_PASSAGE)

@@ -1,119 +1,160 @@
-"""Screening of large view databases: ``python -m benchmarks.screening views=100000 queries=200 threads=2``.
+"""Screening of large VIDs by the product's own way: ``python -m benchmarks.screening vid=DIR pictures=200``.
 
-Distinct drawn edge maps of 100 points, their screen built into a temporary file and opened from there. A query is
-one of them seen again (turned, scaled, noisy), in part, with clutter; a hit is the same shape. Reported are recall,
-milliseconds a query from points to shortlist and to full costs of the shortlist, opening time and memory.
+Simulated pictures are located twice, by the search in two stages and by the exhaustive one, in turns: how often both
+name the same calyx and places within 0.3 mm, refined and not, and what a picture takes. ``tiled=100000`` also stores
+the VID's views again and again up to that number, and opens that in a process of its own: seconds, memory and bytes of
+a VID as large as that. What it answers is not looked at, since views come again.
+
+Arguments, each ``key=value``: ``vid=DIR`` (a phantom's of ``views=2000`` is built where it is left out)
+``pictures=200`` ``tiled=0`` ``threads=2`` ``seed=1`` ``work=DIR`` ``out=FILE.json``.
 """
 
+import os
 import resource
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import fields, replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.shared import shapes as drawn_shapes
-from benchmarks.shared.results import Report, overrides
-from ursnav_torch.matching import Matching, Nearest, Occupancy, PairCost, Screen, ShapeContext, build_screen
+from benchmarks.building import build
+from benchmarks.shared.results import Report, errors_told, overrides
+from ursnav_torch.errors import FeatureError
+from ursnav_torch.localization import Localizer
+from ursnav_torch.localization.answers import Judgement
+from ursnav_torch.localization.learn import queries_from
+from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.threads import one_thread_an_operation
+from ursnav_torch.vid import PlanSettings, Vid, ViewFeatures, load_vid, make_screen, plan_views, save_vid
 
-Floats = NDArray[np.float64]
-DEFAULTS = {"views": 100_000, "queries": 200, "threads": 2, "seed": 11, "out": ""}
-#: Share of the edge kept, clutter points, and how far the query is shifted at most, px.
-CASES = ((1.0, 0, 0.0), (0.7, 0, 0.0), (0.7, 30, 0.0), (0.7, 30, 15.0), (0.5, 30, 0.0))
-#: The second look: shape, place and direction of the best 70 % of the query's points.
-SECOND = Matching(
-    ShapeContext(scale=60.0),
-    PairCost(position_weight=1.0, direction_weight=0.5),
-    Nearest(),
-)
-_SIDE = 250.0
+DEFAULTS = {"vid": "", "views": 2000, "pictures": 200, "tiled": 0, "threads": 2, "seed": 1, "work": "", "out": ""}
+#: Places within this of each other are the same, mm at the kidney's scale 1.
+SAME_MM = 0.3
+#: Pictures that the tiled VID locates.
+_TIMED = 20
+Images = list[NDArray[np.uint8]]
 
 
+@errors_told
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     torch.set_num_threads(settings["threads"])
-    report = Report("screening", {k: v for k, v in settings.items() if k != "out"})
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "screen.safetensors"
-        views = drawn_shapes.edge_views(settings["views"], 100, settings["seed"])
-        start = time.perf_counter()
-        points = torch.from_numpy(views).float()
-        mask = torch.ones(points.shape[:2], dtype=torch.bool)
-        build_screen(path, points, mask, settings=Occupancy((0, 0), (_SIDE, _SIDE)))
-        group = f"Screen of {settings['views']:,} distinct views of 100 points"
-        report.add(group, "building, once", "s", [time.perf_counter() - start])
-        report.add(group, "size of the file", "MiB", [path.stat().st_size / 2**20])
-        numbers = np.random.default_rng(settings["seed"]).integers(0, len(views), settings["queries"])
-        asked = views[numbers]
-        del views, points, mask
-        _measure_memory(report, group, path, asked, settings["threads"])
-        screen = Screen(path)
-        for keep, clutter, shift in CASES:
-            recall(report, screen, asked, numbers, keep, clutter, shift)
+    report = Report("screening", {k: v for k, v in settings.items() if k not in ("out", "work", "vid")})
+    with ExitStack() as stack:
+        work = Path(settings["work"] or stack.enter_context(tempfile.TemporaryDirectory()))
+        folder = Path(settings["vid"]) if settings["vid"] else work / "vid"
+        if not settings["vid"]:
+            build({"views": settings["views"], "workers": settings["threads"], "compute": "local"}, folder)
+        vid = load_vid(folder)
+        images = simulated(vid, settings["pictures"], settings["seed"])
+        compare(report, vid, images)
+        if settings["tiled"]:
+            tile(vid, settings["tiled"], work / "tiled")
+            measure_opened(report, work / "tiled", images[:_TIMED], settings["threads"])
     report.finish(settings["out"])
     return 0
 
 
-def recall(
-    report: Report, screen: Screen, asked: Floats, numbers: NDArray[np.int64], keep: float, clutter: int, shift: float
-) -> None:
-    """Recall and time of one kind of query."""
-    rng = np.random.default_rng(5)
-    ranks, finals, first, both = [], [], [], []
-    for view, number in zip(asked, numbers, strict=True):
-        seen = drawn_shapes.observe(view, rng, keep, clutter) + rng.uniform(-shift, shift, 2)
-        query = torch.from_numpy(seen).float()
-        start = time.perf_counter()
-        short = screen.shortlist(query, count=100)
-        first.append((time.perf_counter() - start) * 1e3)
-        start = time.perf_counter()
-        final, _ = screen.nearest(query, settings=SECOND, count=100)
-        both.append((time.perf_counter() - start) * 1e3)
-        ranks.append(bool((short == number).any()))
-        finals.append(int(final[0]) == number)
-    group = f"{keep:.0%} of the edge, {clutter} clutter points, shifted up to {shift:.0f} px"
-    report.add(group, "recall@100 of the shortlist", "%", [100 * float(np.mean(ranks))], n=len(asked))
-    report.add(group, "first after full costs of the 100", "%", [100 * float(np.mean(finals))], n=len(asked))
-    report.add(group, "query to shortlist", "ms", first)
-    report.add(group, "query to full costs of the 100", "ms", both)
+def simulated(vid: Vid, count: int, seed: int) -> Images:
+    """``count`` pictures with the sensor presets' faults, evenly from places before the calyces that no view has."""
+    plan = plan_views(vid.kidney, vid.lumen, PlanSettings(views_per_calyx=-(-count // len(vid.kidney.calyces)),
+                                                          passage_views=0, seed=seed + 9000))  # fmt: skip
+    chosen = np.random.default_rng(seed).permutation(len(plan.calyx))[:count]
+    make = partial(RaycastRenderer, light=HeadLight())
+    rng = np.random.default_rng(seed)
+    return [q.image for q in queries_from(vid, make, plan.T_kidney_camera[chosen], plan.calyx[chosen], rng)]
 
 
-_PROBE = """
-import sys, time, numpy, torch
-from pathlib import Path
-from benchmarks.screening import SECOND, resident
-from ursnav_torch.matching import Screen
-torch.set_num_threads(int(sys.argv[3]))
-start = time.perf_counter()
-screen = Screen(Path(sys.argv[1]))
-opened = time.perf_counter() - start
-for query in numpy.load(sys.argv[2])[:20]:
-    screen.nearest(torch.from_numpy(query).float(), settings=SECOND, count=100)
-print(opened, resident())
-"""
+def compare(report: Report, vid: Vid, images: Images) -> None:
+    """Both searches on the same pictures, in turns."""
+    screened = Localizer(replace(vid, screen=vid.screen or make_screen(vid.features)))
+    exhaustive = Localizer(replace(vid, screen=None))
+    agree: dict[str, list[bool]] = {"refined": [], "unrefined": []}
+    milliseconds: dict[str, list[float]] = {"two stages": [], "exhaustive": []}
+    for image in images:
+        try:
+            features = screened.features(image)
+        except FeatureError:
+            continue
+        found = []
+        for name, localizer in (("two stages", screened), ("exhaustive", exhaustive)):
+            start = time.perf_counter()
+            with torch.inference_mode(), one_thread_an_operation():
+                found.append(localizer.judge(features))
+            milliseconds[name].append((time.perf_counter() - start) * 1e3)
+        for kind, alike in agree.items():
+            alike.append(same_place(screened, found[0], found[1], refined=kind == "refined"))
+    group = f"{len(vid):,} views, two stages against exhaustive search"
+    for kind, alike in agree.items():
+        report.add(
+            group, f"same calyx and within {SAME_MM} mm, {kind}", "%", [100 * float(np.mean(alike))], n=len(alike)
+        )
+    for name, taken in milliseconds.items():
+        report.add(group, f"from features to place, {name}", "ms", taken)
 
 
-def _measure_memory(report: Report, group: str, path: Path, asked: Floats, threads: int) -> None:
-    """Opening time, and resident memory after 20 queries, in a process of its own."""
-    queries = path.with_name("queries.npy")
-    np.save(queries, asked)
-    command = [sys.executable, "-c", _PROBE, str(path), str(queries), str(threads)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=Path(__file__).parents[1])
-    opened, memory = map(float, done.stdout.split())
+def same_place(localizer: Localizer, one: Judgement, other: Judgement, refined: bool) -> bool:
+    """Whether two answers of a VID are one."""
+    pose = localizer.pose if refined else localizer.nearest_pose
+    calyces = [(j.calyx if refined else j.voted) for j in (one, other)]
+    apart = float(np.linalg.norm(pose(one)[:3, 3] - pose(other)[:3, 3])) / localizer.vid.kidney.scale
+    return calyces[0] == calyces[1] and apart <= SAME_MM
+
+
+def tile(vid: Vid, count: int, folder: Path) -> None:
+    """Store a VID of ``count`` views, the same ones again and again, their pictures linked."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    rows = torch.arange(count) % len(vid)
+    for number, view in enumerate(rows.tolist()):
+        place = folder / "images" / f"{number:06d}.png"
+        if not place.exists():
+            os.link(vid.image_path(view), place)
+    features = ViewFeatures(*(getattr(vid.features, field.name)[rows] for field in fields(ViewFeatures)))
+    T, calyx = vid.T_kidney_camera[rows.numpy()], vid.calyx[rows.numpy()]
+    tiled = replace(vid, features=features, T_kidney_camera=T, calyx=calyx, folder=folder, screen=make_screen(features))
+    save_vid(tiled, folder)
+
+
+def measure_opened(report: Report, folder: Path, images: Images, threads: int) -> None:
+    """What opening a VID and locating pictures in it take, in a process of its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        views, opened, ready, milliseconds, memory = pool.submit(open_and_locate, folder, images, threads).result()
+    group = f"{views:,} views, opened anew (views come again: for time and memory alone)"
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e9
     report.add(group, "opening", "s", [opened])
-    report.add(group, "greatest resident memory, 20 queries", "MiB", [memory])
+    report.add(group, "opening and making ready", "s", [ready])
+    report.add(group, "picture to place, refined", "ms", milliseconds)
+    report.add(group, f"greatest resident memory, {len(milliseconds)} pictures", "GiB", [memory], n=1)
+    report.add(group, "on disk", "GB", [size], n=1)
 
 
-def resident() -> float:
-    """Greatest resident memory of this process so far in MiB."""
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+def open_and_locate(folder: Path, images: Images, threads: int) -> tuple[int, float, float, list[float], float]:
+    """Views; seconds to a VID and to a localizer; milliseconds a picture; greatest resident memory, GiB."""
+    torch.set_num_threads(threads)
+    start = time.perf_counter()
+    vid = load_vid(folder)
+    opened = time.perf_counter() - start
+    localizer = Localizer(vid)
+    ready, milliseconds = time.perf_counter() - start, []
+    for image in images:
+        start = time.perf_counter()
+        try:
+            localizer.locate(image)
+        except FeatureError:
+            continue
+        milliseconds.append((time.perf_counter() - start) * 1e3)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return len(vid), opened, ready, milliseconds, memory
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@ pair costs, and nearest, Sinkhorn, Hungarian or OpenCV's own way from costs to a
 
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe, fix_scale, mean_distances
-from ursnav_torch.matching.directions import estimate_directions
 from ursnav_torch.matching.distances import shape_distances
 from ursnav_torch.matching.matcher import Matcher, Matching
 from ursnav_torch.matching.methods.base import Assignment, Correspondences
@@ -11,10 +10,8 @@ from ursnav_torch.matching.methods.hungarian import Hungarian
 from ursnav_torch.matching.methods.nearest import Nearest
 from ursnav_torch.matching.methods.opencv import OpenCV
 from ursnav_torch.matching.methods.sinkhorn import ConvergenceWarning, Sinkhorn
-from ursnav_torch.matching.occupancy import Occupancy
 from ursnav_torch.matching.ordered import Ordered, align_outlines
 from ursnav_torch.matching.point_sets import PointSets, pack
-from ursnav_torch.matching.screening import Screen, build_screen
 from ursnav_torch.threads import one_thread_an_operation
 
 __all__ = [
@@ -25,18 +22,14 @@ __all__ = [
     "Matcher",
     "Matching",
     "Nearest",
-    "Occupancy",
     "OpenCV",
     "Ordered",
     "PairCost",
     "PointSets",
-    "Screen",
     "ShapeContext",
     "Sinkhorn",
     "align_outlines",
-    "build_screen",
     "describe",
-    "estimate_directions",
     "fix_scale",
     "mean_distances",
     "one_thread_an_operation",

@@ -8,13 +8,16 @@ from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe
 from ursnav_torch.matching.point_sets import ViewPoints
 
+#: Views whose descriptions are kept; beyond, all are forgotten and described anew as they are asked for.
+_MOST_KEPT = 20_000
+
 
 class PairedViews:
     """Views of which few are asked for at a time: a search's finalists.
 
     Preparing costs nothing; a view is described the first time it is a finalist.
 
-    Memory: 4 V P (D + 3) bytes at most, taken up as views are described.
+    Memory: 4 V P (D + 3) bytes at most, V up to 20,000 (0.5 GB of 100 points), taken up as views are described.
     """
 
     def __init__(self, views: ViewPoints, descriptor: ShapeContext, cost: PairCost) -> None:
@@ -53,6 +56,10 @@ class PairedViews:
         new = views[~self._described[views]].unique()
         if not len(new):
             return
+        if int(self._described.sum()) + len(new) > _MOST_KEPT:
+            self._described.zero_()
+            self._features = self._histograms = None
+            new = views.unique()
         some = self._views.at(new)
         histograms = describe(some.points, some.mask, self.descriptor, some.direction, some.weights)
         features = pair_cost.view_features(histograms, some.direction, some.mask, self.cost)

@@ -13,6 +13,7 @@ from ursnav_torch.geometry import transform_from
 from ursnav_torch.matching import Matching
 from ursnav_torch.search.ranking import Ranking, view_from_query
 from ursnav_torch.search.scan import RollScan, ScanResult, tilts
+from ursnav_torch.search.screening import ScreenedViews
 from ursnav_torch.search.settings import SearchSettings, best_first, default_matching
 from ursnav_torch.search.shape import ShapeStage
 from ursnav_torch.vid import Vid
@@ -27,11 +28,17 @@ class ViewSearch:
     `rank` is the whole search. A tracker, which knows something beforehand, takes its steps apart: `everywhere`, a
     choice of its own, `at_tilts`.
 
+    Of a VID with a screen, `rank` compares every view coarsely and the likeliest as it does all others' views.
+    `everywhere` is exact with any VID, and makes ready for all views when it is first asked.
+
     Args:
         vid: the views.
         settings: cues, tilts and finalists.
         matching: how shapes are compared; `default_matching` when None.
         working_camera: the lens in which features give their fields, where it is known already.
+
+    Attributes:
+        scans: whether polar maps are compared: the VID has them and they have weight.
     """
 
     def __init__(
@@ -42,11 +49,11 @@ class ViewSearch:
         working_camera: Camera | None = None,
     ) -> None:
         self.settings, self.matching = settings or SearchSettings(), matching or default_matching()
-        self._T = vid.T_kidney_camera
-        maps, s = vid.features.maps, self.settings
-        scans = maps.shape[1] > 0 and s.map_weight > 0
-        self._scan = RollScan(maps, s.channel_weights(maps.shape[1])) if scans else None
-        compares = s.shape_weight > 0 or not scans
+        self._T, self._maps, s = vid.T_kidney_camera, vid.features.maps, self.settings
+        self.scans = self._maps.shape[1] > 0 and s.map_weight > 0
+        self._screened = ScreenedViews(vid, s) if self.scans and vid.screen is not None else None
+        self._scan = self._scan_of_all() if self.scans and self._screened is None else None
+        compares = s.shape_weight > 0 or not self.scans
         self._shape = ShapeStage(vid.features, vid.camera, self.matching) if compares else None
         self._tilts = tilts(s.tilt_step_deg, s.tilt_rounds)
         lens = working_camera or vid.extractor().working_camera
@@ -54,11 +61,6 @@ class ViewSearch:
 
     def __len__(self) -> int:
         return len(self._T)
-
-    @property
-    def scans(self) -> bool:
-        """Whether polar maps are compared: the VID has them and they have weight."""
-        return self._scan is not None
 
     @property
     def reads_edges(self) -> bool:
@@ -71,12 +73,13 @@ class ViewSearch:
         Without maps to scan, shapes are compared with every view at the rolls that the matching names.
         """
         s = self.settings
-        if self._scan is None or not features.maps.numel():
+        if not self.scans or not features.maps.numel():
             found = self._by_shape(features)
             return found.at(best_first(found.score, s.finalists))
-        straight = self._scanned(features, self._straight).score
-        views = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
-        found = self.at_tilts(features, views)
+        views = None if self._screened is None else self._screened.likeliest(self._seen(features, self._straight)[0][0])
+        straight = self._scanned(features, self._straight, views).score
+        best = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
+        found = self.at_tilts(features, best if views is None else views[best])
         found = self.with_shapes(features, found.at(best_first(found.score, s.finalists)))
         return found.at(best_first(found.score, s.finalists))
 
@@ -87,7 +90,7 @@ class ViewSearch:
 
     def at_tilts(self, features: Features, views: Rows) -> Ranking:
         """Views (K,), in their order, each at the tilt and roll that suit it best."""
-        found = self._scanned(features, self._grids, torch.from_numpy(views))
+        found = self._scanned(features, self._grids, views)
         return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
 
     def with_shapes(self, features: Features, found: Ranking) -> Ranking:
@@ -102,14 +105,24 @@ class ViewSearch:
         score = found.score + weight * (1 - assignment.distance.numpy().astype(float))
         return replace(found, score=score, best_score=found.best_score + weight, assignment=assignment)
 
-    def _scanned(self, features: Features, grids: PolarGrid, views: Tensor | None = None) -> ScanResult:
-        """The scan of what is wall in a picture, through the cameras of the grids."""
-        assert self._scan is not None
+    def _scanned(self, features: Features, grids: PolarGrid, views: Rows | None = None) -> ScanResult:
+        """The exact scan of views (K,), of all where None, through the cameras of the grids."""
+        maps, valid = self._seen(features, grids)
+        if views is not None and self._screened is not None:
+            return self._screened.exactly(views).scan(maps, None, valid)
+        if self._scan is None:
+            self._scan = self._scan_of_all()
+        return self._scan.scan(maps, None if views is None else torch.from_numpy(views), valid)
+
+    def _scan_of_all(self) -> RollScan:
+        return RollScan(self._maps, self.settings.channel_weights(self._maps.shape[1]))
+
+    def _seen(self, features: Features, grids: PolarGrid) -> tuple[Tensor, Tensor | None]:
+        """A picture's maps (N, C, R, A) through the cameras of the grids, and where they are valid (N, R, A)."""
         if features.valid.numel():
             valid = polar_valid(features.valid, grids)
-            return self._scan.scan(polar_maps(features.fields, grids, valid), views, valid)
-        straight = grids is self._straight
-        return self._scan.scan(features.maps[None] if straight else polar_maps(features.fields, grids), views)
+            return polar_maps(features.fields, grids, valid), valid
+        return features.maps[None] if grids is self._straight else polar_maps(features.fields, grids), None
 
     def _by_shape(self, features: Features) -> Ranking:
         """Every view of the VID, in its order, by shape distance alone."""

@@ -6,9 +6,11 @@ from ursnav_torch.vid.compute import Compute, DaskCompute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, pack
 from ursnav_torch.vid.exchange import CollectedViews, export_thesis, read_poses, read_views
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
+from ursnav_torch.vid.screen import SCREEN_FROM, Screen, make_screen
 from ursnav_torch.vid.store import load_vid, pose_cells, poses_from_rows, save_vid
 
 __all__ = [
+    "SCREEN_FROM",
     "CollectedViews",
     "Compute",
     "DaskCompute",
@@ -16,12 +18,14 @@ __all__ = [
     "MakeRenderer",
     "Plan",
     "PlanSettings",
+    "Screen",
     "Studio",
     "Vid",
     "ViewFeatures",
     "build_vid",
     "export_thesis",
     "load_vid",
+    "make_screen",
     "pack",
     "plan_views",
     "pose_cells",

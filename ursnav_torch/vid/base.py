@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from ursnav_torch.features import Extractor, Settings, image_from_bytes, make_ex
 from ursnav_torch.inputs import read_regular
 from ursnav_torch.kidney import NO_CALYX, Kidney, LumenDistance
 from ursnav_torch.pictures import MOST_BYTES
+
+if TYPE_CHECKING:
+    from ursnav_torch.vid.screen import Screen
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,7 @@ class Vid:
         lumen: distances along the kidney's lumen, found when the VID was built.
         calibration: what the build learned about confidence from simulated queries; plain numbers.
         picture_sums: sha256 of every view's picture; none where it was built before they were kept.
+        screen: of a large VID, by which it is searched in two stages; its features are proven view by view.
     """
 
     kidney: Kidney
@@ -66,6 +71,7 @@ class Vid:
     lumen: LumenDistance
     calibration: dict[str, object] | None = None
     picture_sums: tuple[str, ...] = ()
+    screen: "Screen | None" = None
 
     def __len__(self) -> int:
         return len(self.T_kidney_camera)

@@ -21,6 +21,7 @@ from ursnav_torch.vid.compute import Compute, LocalCompute
 from ursnav_torch.vid.draw import MakeRenderer, Studio, join, load_features, save_features
 from ursnav_torch.vid.exchange import CollectedViews
 from ursnav_torch.vid.plan import Plan, PlanSettings, plan_views
+from ursnav_torch.vid.screen import SCREEN_FROM, make_screen
 from ursnav_torch.vid.store import load_vid, save_vid
 
 #: Views drawn in one go; what an interruption can lose.
@@ -73,7 +74,10 @@ def build_vid(
         with progress(len(views.calyx), "views") as advance:
             _draw_all(studio, views.T_kidney_camera, work, compute, advance)
         shards = [load_features(path) for path in sorted((work / "shards").glob("*.safetensors"))]
-        vid = Vid(kidney, camera, settings, views.T_kidney_camera, views.calyx, join(shards), work, lumen)
+        features = join(shards)
+        screen = make_screen(features) if len(features) >= SCREEN_FROM else None
+        T, calyx = views.T_kidney_camera, views.calyx
+        vid = Vid(kidney, camera, settings, T, calyx, features, work, lumen, screen=screen)
         if learn is not None:
             vid = replace(vid, calibration=learn(vid, progress=progress))
         save_vid(vid, work)

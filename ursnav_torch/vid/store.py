@@ -23,12 +23,16 @@ from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.vid.base import Vid, image_name
 from ursnav_torch.vid.draw import check_features, load_features, save_features
 from ursnav_torch.vid.lumen_file import load_lumen, save_lumen
+from ursnav_torch.vid.screen import load_screen, save_screen
 
 #: Another format has features that are no longer comparable, or lacks what a VID holds now.
 FORMAT = 3
-_FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "lumen.safetensors", "views.csv", "features.safetensors")
+_FEATURES = "features.safetensors"
+_FILES = ("kidney.stl", "calyces.csv", "centerline.csv", "lumen.safetensors", "views.csv", _FEATURES)
 #: Checksums of the pictures, as ``sha256sum -c`` reads them: under `vid.json`'s own, and each checked when it is read.
 _PICTURES = "images.sha256"
+#: What a large VID holds besides: then features are proven view by view, and not as a whole when it is opened.
+_SCREEN = "screen.safetensors"
 
 
 def save_vid(vid: Vid, folder: Path) -> None:
@@ -38,8 +42,10 @@ def save_vid(vid: Vid, folder: Path) -> None:
     write_calyces(folder / "calyces.csv", vid.kidney.calyces, vid.kidney.pelvis_mm)
     write_centerline(folder / "centerline.csv", vid.kidney.centerline, calyces)
     write_csv(folder / "views.csv", VIEW_COLUMNS, view_rows(vid))
-    save_features(folder / "features.safetensors", vid.features)
+    save_features(folder / _FEATURES, vid.features)
     save_lumen(folder / "lumen.safetensors", vid.lumen)
+    if vid.screen is not None:
+        save_screen(folder / _SCREEN, vid)
     names = [f"images/{image_name(view)}" for view in range(len(vid))]
     (folder / _PICTURES).write_text("".join(f"{_sha256(folder / name)}  {name}\n" for name in names), encoding="utf-8")
     write_description(folder, describe(vid))
@@ -61,9 +67,10 @@ def describe(vid: Vid) -> dict[str, Any]:
 def write_description(folder: Path, description: dict[str, Any]) -> None:
     """Write `vid.json` with the sha256 of every file and of its own content.
 
-    The features' is checked at every start, too: 0.5 GB/s or more, a fraction of what reading them takes.
+    The features' is checked at every start, too: 0.5 GB/s or more, a fraction of what reading them takes. Not so those
+    of a screened VID, see `vid.screen`.
     """
-    names = [*_FILES, _PICTURES] if (folder / _PICTURES).exists() else _FILES
+    names = [*_FILES, *(name for name in (_PICTURES, _SCREEN) if (folder / name).exists())]
     description = description | {"sha256": {name: _sha256(folder / name) for name in names}}
     description["checksum"] = _checksum(description)
     text = json.dumps(description, indent=1, ensure_ascii=False, allow_nan=False)
@@ -80,15 +87,19 @@ def load_vid(path: str | Path) -> Vid:
     description = _read_description(folder)
     kidney = _load_kidney(folder, description)
     camera = camera_from_dict(description["camera"], f"{folder / 'vid.json'}")
-    rows = read_csv(folder / "views.csv", VIEW_COLUMNS, "views")
-    T = poses_from_rows(rows)
-    calyx = _calyx_of_rows(rows, kidney, folder / "views.csv")
+    screen = None
+    if _SCREEN in description["sha256"]:
+        screen, T, calyx = load_screen(folder / _SCREEN)
+    else:
+        rows = read_csv(folder / "views.csv", VIEW_COLUMNS, "views")
+        T, calyx = poses_from_rows(rows), _calyx_of_rows(rows, kidney, folder / "views.csv")
     settings = settings_from_dict(description["features"])
-    features = load_features(folder / "features.safetensors")
-    check_features(features, len(rows), settings.points, f"{folder / 'features.safetensors'}")
+    features = load_features(folder / _FEATURES)
+    check_features(features, len(T), settings.points, f"{folder / _FEATURES}")
     lumen = load_lumen(folder / "lumen.safetensors", kidney)
-    sums = _picture_sums(folder / _PICTURES, len(rows)) if _PICTURES in description["sha256"] else ()
-    return Vid(kidney, camera, settings, T, calyx, features, folder, lumen, description.get("calibration"), sums)
+    sums = _picture_sums(folder / _PICTURES, len(T)) if _PICTURES in description["sha256"] else ()
+    learned = description.get("calibration")
+    return Vid(kidney, camera, settings, T, calyx, features, folder, lumen, learned, sums, screen)
 
 
 def view_rows(vid: Vid) -> list[dict[str, Any]]:
@@ -152,9 +163,11 @@ def _read_description(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} was changed after the VID was built, so it no longer fits its features; build it again."
         )
-    for name in [*_FILES, _PICTURES] if _PICTURES in files else _FILES:
+    for name in [*_FILES, *(name for name in (_PICTURES, _SCREEN) if name in files)]:
         if not (folder / name).exists():
             raise InputError(f"The VID {folder} lacks {name}; copy it again or build it again.")
+        if name == _FEATURES and _SCREEN in files:
+            continue
         if _sha256(folder / name) != files.get(name):
             raise InputError(f"{folder / name} was changed after the VID was built; build the VID again.")
     return dict(description)
