@@ -5,8 +5,10 @@
     python -m benchmarks.exploring work=DIR half=choosing        # the half that settings may be chosen with
     python -m benchmarks.exploring work=DIR half=choosing set=room_mm=3,turn_per_s=2    # other settings
 
-In every phantom one calyx is blocked by a stone that the map does not know. The scope has plays and breathes. What the
-explorer says is compared with the wall that the true poses saw. Seeds make the halves; results are kept in ``work``
+In every phantom one calyx is blocked by a stone that the map does not know; it and those whose way the scope's limits
+do not allow (`ScopeLimits`: too narrow, too bent) are out of reach. The scope has plays and breathes. What the
+explorer says is compared with the wall that the true poses saw; its path with the shortest tour through the calyces
+in reach, and to before the necks that it looked through. Seeds make the halves; results are kept in ``work``
 for each phantom and setting, and the next call goes on from there. ``tissue=`` names what an operation does besides, of
 breathing, swelling, bleeding and buckling (see `TissueSettings`).
 """
@@ -25,13 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.exploring.twins import stone_in, tissue_of, twin_in
-from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population, vid_for
+from benchmarks.exploring.twins import Anatomy, anatomy_of, stone_in, tissue_of, twin_in
+from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
 from benchmarks.shared.track_records import sources
 from ursnav_torch.autonomy import AutonomySettings, Explorer
-from ursnav_torch.autonomy.tour import Tour
 from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration import ScopeLimits
@@ -84,14 +85,13 @@ def main(arguments: Sequence[str]) -> int:
 def explored(case: Case, settings: dict[str, Any], work: Path) -> dict[str, Any]:
     """What exploring one phantom brought; from the work folder where the same was done already."""
     careful = tried(settings["set"])
-    key = sources(ROOMS) + repr(
-        [case, careful, *(settings[k] for k in ("views", "pose", "seconds", "tissue", "rate_hz"))]
-    )
+    told = tuple(settings[k] for k in ("views", "pose", "seconds", "tissue", "rate_hz"))
+    key = sources(ROOMS) + repr([case.kidney, case.seed, case.kind, careful, *told])
     path = work / "explored" / f"{case.kidney}_{hashlib.sha256(key.encode()).hexdigest()[:8]}.json"
     if not path.exists():
-        vid = vid_for(case, settings["views"], work, None)
+        known = anatomy_of(case, settings["views"], work, drawn=settings["pose"] == TRACKED)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, explore_phantom(case, vid, careful, settings))
+        write_json(path, explore_phantom(case, known, careful, settings))
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     print(f"{case.kidney}: {found['seconds']:.0f} s, {found['path_mm']:.0f} mm, {found['end']}", file=sys.stderr)
     for c in found["calyces"]:
@@ -107,16 +107,16 @@ def tried(text: str) -> AutonomySettings:
     return replace(default, **{k: type(getattr(default, k))(v) for k, v in changes.items()})
 
 
-def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: dict[str, Any]) -> dict[str, Any]:
+def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, settings: dict[str, Any]) -> dict[str, Any]:
     """Explore one phantom; the facts, as they are kept."""
-    rng, kidney, lumen = np.random.default_rng([case.seed, 21]), vid.kidney, vid.lumen
-    stone, blocked = stone_in(vid, rng)
-    own, truth = (Coverage(kidney, vid.camera, lumen, vid.T_kidney_camera[::2]) for _ in range(2))
+    rng, kidney, lumen = np.random.default_rng([case.seed, 21]), known.kidney, known.lumen
+    stone, blocked = stone_in(known, rng)
+    own, truth = (Coverage(kidney, known.camera, lumen, known.T_kidney_camera[::2]) for _ in range(2))
     explorer = Explorer(own, lumen, careful)
     clock = SimulatedTime()
-    twin = twin_in(case, vid, rng, clock, stone, tissue_of(settings["tissue"]))
+    twin = twin_in(case, known, rng, clock, stone, tissue_of(settings["tissue"]))
     start = kidney.centerline.points_mm[0]
-    locate = noisy_truth(rng) if settings["pose"] == TRUE else tracker_of(vid)
+    locate = noisy_truth(rng) if known.vid is None else tracker_of(known.vid)
     operator = None
     if settings["pose"] == TRACKED:  # a person leads in, to where the tracker finds its place
         operator = TwinPilot(twin, kidney, clock=clock)
@@ -124,8 +124,9 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
     rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], operator, clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
-    tour = Tour(kidney, careful.standoff_mm)
-    within = [c for c in range(len(kidney.calyces)) if c != blocked]
+    tour, visits = explorer.tour, explorer.account().visits
+    ways = [route_to(kidney, start, c, ScopeLimits()) for c in range(len(kidney.calyces))]
+    within = [c for c, way in enumerate(ways) if c != blocked and (way.feasible or visits[c].tried)]
     true_share = {c.calyx: c.share for c in truth.calyces()}
     limits = rehearsal.robot.limits
     joints = np.array(found.joints).reshape(-1, 3)
@@ -142,8 +143,8 @@ def explore_phantom(case: Case, vid: Vid, careful: AutonomySettings, settings: d
         "settings": asdict(careful),
         "calyces": [
             v.to_dict() | {"true_share": round(true_share[v.calyx], 4), "blocked": i == blocked,
-                           "narrowest_mm": route_to(kidney, start, i, ScopeLimits()).narrowest_mm}
-            for i, v in enumerate(explorer.account().visits)
+                           "feasible": ways[i].feasible, "narrowest_mm": ways[i].narrowest_mm}
+            for i, v in enumerate(visits)
         ],
     }  # fmt: skip
 
@@ -189,7 +190,8 @@ def contacts(found: Rehearsed, stone: Array) -> list[int]:
 def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
     """The bars of exploring by itself."""
     calyces = [c for f in found for c in f["calyces"]]
-    open_, shut = [c for c in calyces if not c["blocked"]], [c for c in calyces if c["blocked"]]
+    shut = [c for c in calyces if c["blocked"] or not c["feasible"]]
+    open_ = [c for c in calyces if c not in shut]
 
     def share(name: str, hits: int, of: int) -> None:
         if not of:
@@ -201,10 +203,12 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
 
     said = [c for c in calyces if c["verdict"] == INSPECTED]
     share("reachable calyces inspected", sum(c["verdict"] == INSPECTED for c in open_), len(open_))
+    share("all calyces inspected", len(said), len(calyces))
     named = [c for c in calyces if c["verdict"] == NOT_REACHED]
-    right = sum(c["verdict"] == NOT_REACHED and bool(c.get("reason")) for c in shut)
-    share("blocked calyces called not reached, with the reason", right, len(shut))
-    share("of those called not reached, really blocked", sum(c["blocked"] for c in named), len(named))
+    missed = [c for c in shut if c["verdict"] != INSPECTED]
+    right = sum(c["verdict"] == NOT_REACHED and bool(c.get("reason")) for c in missed)
+    share("out of reach and not inspected: called not reached, with the reason", right, len(missed))
+    share("of those called not reached, really out of reach", sum(c in shut for c in named), len(named))
     for verdict in (PARTLY, UNSEEN, NOT_TRIED):
         hits = sum(c["verdict"] == verdict for c in calyces)
         report.add("exploring", f"calyces {verdict}", "calyces", [hits], n=len(calyces))

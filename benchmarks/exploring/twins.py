@@ -1,18 +1,22 @@
 """The scope in a phantom: a calyx that a stone closes, plays, and what an operation does besides."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.shared.flights import Case
+from benchmarks.shared.flights import Case, phantom_of, vid_for
+from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
+from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
 from ursnav_torch.simulation import Scope, SimulatedTime, Tissue, TissueSettings, Twin, World
 from ursnav_torch.simulation.world import swelling_renderer
-from ursnav_torch.vid import Vid
+from ursnav_torch.vid import PlanSettings, Vid
+from ursnav_torch.vid.plan import plan_views
 
 Array = NDArray[np.float64]
 
@@ -22,26 +26,54 @@ DISTURBANCES = {"breathing": "breathes", "swelling": "swells", "bleeding": "blee
 STONE_MM = 9.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Anatomy:
+    """What an exploration knows of a kidney before it; a VID's, without its pictures.
+
+    Attributes:
+        kidney, lumen, camera: of it.
+        T_kidney_camera: (V, 4, 4) poses that a scope can take.
+        vid: with the pictures; None where none is needed.
+    """
+
+    kidney: Kidney
+    lumen: LumenDistance
+    camera: Camera
+    T_kidney_camera: Array
+    vid: Vid | None = None
+
+
+def anatomy_of(case: Case, views: int, work: Path, drawn: bool) -> Anatomy:
+    """A case's kidney with as many views a calyx; ``drawn``: with a VID, which is built once."""
+    if drawn:
+        vid = vid_for(case, views, work, None)
+        return Anatomy(vid.kidney, vid.lumen, vid.camera, vid.T_kidney_camera, vid)
+    kidney = phantom_of(case)
+    lumen = LumenDistance.from_kidney(kidney)
+    planned = plan_views(kidney, lumen, PlanSettings(views, views))
+    return Anatomy(kidney, lumen, equidistant_camera(), planned.T_kidney_camera)
+
+
 def twin_in(
-    case: Case, vid: Vid, rng: np.random.Generator, clock: SimulatedTime, stone: Array, on: TissueSettings
+    case: Case, known: Anatomy, rng: np.random.Generator, clock: SimulatedTime, stone: Array, on: TissueSettings
 ) -> Twin:
     """The scope at the beginning.
 
     Args:
         case: the phantom, and the kind of its pictures.
-        vid: its kidney and lens.
+        known: its kidney and lens.
         rng: draws plays, faults and roll.
         clock: by which the kidney breathes, swells and bleeds.
         stone: x, y, z and radius of the stone, which the map does not know.
         on: what an operation does.
     """
-    kidney, lumen = vid.kidney, vid.lumen
+    kidney, lumen = known.kidney, known.lumen
     scope = Scope(backlash=(*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0)), compression_mm=2.0)
     faults = severity(PRESETS[case.kind], 0.2, rng)
     drawn = np.random.default_rng([case.seed, 22])
     tissue = Tissue(on, np.random.default_rng([case.seed, 23]), kidney.scale)
     walls = tissue.clearance(lumen.clearance_mm, clock)
-    world = World(kidney, RaycastRenderer(kidney.mesh, vid.camera), redraw=lambda m: RaycastRenderer(m, vid.camera))
+    world = World(kidney, RaycastRenderer(kidney.mesh, known.camera), redraw=lambda m: RaycastRenderer(m, known.camera))
     renderer = swelling_renderer(world, tissue, clock)
     start = kidney.centerline.points_mm[0]
     return Twin(
@@ -65,10 +97,10 @@ def tissue_of(named: str) -> TissueSettings:
     return TissueSettings(**{field: name in wanted for name, field in DISTURBANCES.items()})
 
 
-def stone_in(vid: Vid, rng: np.random.Generator) -> tuple[Array, int]:
+def stone_in(known: Anatomy, rng: np.random.Generator) -> tuple[Array, int]:
     """A stone (x, y, z, radius) that closes the own branch of a calyx, and which calyx."""
-    tree = vid.kidney.centerline
-    calyx = int(rng.integers(len(vid.kidney.calyces)))
+    tree = known.kidney.centerline
+    calyx = int(rng.integers(len(known.kidney.calyces)))
     path = tree.path_to(calyx)
     own = path[tree.calyx[path] == calyx]
     to_tip = tree.from_root_mm()[own[-1]] - tree.from_root_mm()[own]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.shared.kidneys import vid_of
 from benchmarks.shared.phantoms import phantom_vid
-from ursnav_torch.kidney import LumenDistance, make_phantom_kidney
+from ursnav_torch.kidney import Kidney, LumenDistance, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.deform import Deformation, WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, SensorFaults, severity, simulate
@@ -109,9 +109,12 @@ def vid_for(case: Case, views: int, around: float, work: Path, data: Path | None
     if case.seed < 0:
         assert data is not None
         return vid_of(data, case.kidney, work, f"flights_{views}_{around:g}", plan=plan, calibrate=False)
-    return phantom_vid(
-        make_phantom_kidney(case.seed, calyces=6 + case.seed % 4), plan, work / f"{case.kidney}_{views}_{around:g}"
-    )
+    return phantom_vid(phantom_of(case), plan, work / f"{case.kidney}_{views}_{around:g}")
+
+
+def phantom_of(case: Case) -> Kidney:
+    """The phantom of a case that is none of the given kidneys."""
+    return make_phantom_kidney(case.seed, calyces=6 + case.seed % 4)
 
 
 def flown(case: Case, vid: Vid, lumen: LumenDistance, pictures: int, work: Path) -> Flown:

@@ -134,3 +134,17 @@ def test_impossible_settings_are_refused() -> None:
         CoverageSettings(nearest_mm=20.0)
     with pytest.raises(InputError, match="glimpsed <= inspected"):
         CoverageSettings(glimpsed=0.9)
+
+
+def test_of_a_place_that_may_be_off_only_wall_counts_that_shows_all_the_same(coverage: Coverage, vid: Vid) -> None:
+    """From a place off to the side, next to nothing is counted that the true place does not show."""
+    T, rng = vid.T_kidney_camera[5], np.random.default_rng(3)
+    truth, wrong, wrong_sure, counted = set(coverage.in_view(T)), 0, 0, 0
+    for _ in range(12):
+        off = T.copy()
+        off[:3, 3] += rng.normal(0, 0.3, 3)
+        plain, sure = set(coverage.in_view(off)), set(coverage.surely_in_view(off, 0.5))
+        assert sure <= plain
+        wrong, wrong_sure, counted = wrong + len(plain - truth), wrong_sure + len(sure - truth), counted + len(sure)
+    assert wrong_sure < 0.6 * wrong and counted > 6 * len(truth)
+    assert set(coverage.surely_in_view(T, 0.0)) == truth

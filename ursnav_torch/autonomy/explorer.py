@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.autonomy.neck import Neck, find_neck
 from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
 from ursnav_torch.autonomy.perception import Perception, Permission, Wish
 from ursnav_torch.autonomy.settings import AutonomySettings
@@ -18,7 +19,6 @@ from ursnav_torch.autonomy.tour import Tour
 from ursnav_torch.autonomy.visits import OPEN, Explored, Visit
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
-from ursnav_torch.exploration.route import route_to
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.kinematics import Segment
 from ursnav_torch.scaling import scaled
@@ -54,6 +54,7 @@ class Explorer:
         machine: the state and why.
         visits: what became of each calyx.
         target: index of the calyx that is headed for; -1 for none.
+        tour: the ways between visits, each as far as the scope goes.
     """
 
     def __init__(
@@ -69,12 +70,13 @@ class Explorer:
         self.settings = s = scaled(settings or AutonomySettings(), self._unit)
         self._limits = limits or ScopeLimits()
         segment = segment or Segment()
-        self._tour = Tour(self.kidney, s.standoff_mm)
         self._steering = Steering(lumen, segment, s)
         self._planner = ViewPlanner(coverage, lumen, segment, s.clearance_mm, np.radians(self._limits.largest_bend_deg))
         self.machine, self.target = StateMachine(), -1
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
+        self._necks = [find_neck(way, scaled(self._limits, self._unit), self._unit) for way in self._ways]
+        self.tour = Tour(self.kidney, s.standoff_mm, [n.end_mm if n is not None else np.inf for n in self._necks])
         self._way: Way | None = None  # along which the scope came
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
@@ -200,12 +202,13 @@ class Explorer:
             self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
 
     def _choose(self, seen: Perception) -> None:
-        """The next calyx of the shortest tour through all that are open; those hard to reach or tried come last."""
+        """The next calyx of the shortest tour through all that are open; those tried before come last."""
         assert seen.T_kidney_camera is not None
         place = seen.T_kidney_camera[:3, 3]
+        self._leave_out_hidden()
         left = [c for c, visit in enumerate(self.visits) if visit.verdict == OPEN]
-        late = [c for c in left if self.visits[c].attempts or not self._feasible(c)]
-        order = self._tour.order(place, left, late)
+        late = [c for c in left if self.visits[c].attempts]
+        order = self.tour.order(place, left, late)
         if not order:
             self._finish(seen, "every calyx was visited")
             return
@@ -213,8 +216,17 @@ class Explorer:
         self._inspected_from_s, self._view, self._weighed = None, None, None
         self._blocked, self._deepest_mm = "", 0.0
 
-    def _feasible(self, calyx: int) -> bool:
-        return route_to(self.kidney, self.kidney.pelvis_mm, calyx, self._limits).feasible
+    def _leave_out_hidden(self) -> None:
+        """Leave out the calyces behind a neck that is too narrow, from before which next to nothing of them is seen."""
+        for calyx, (visit, neck) in enumerate(zip(self.visits, self._necks, strict=True)):
+            if neck is not None and visit.verdict == OPEN and self._shown(calyx, neck) < self._least[0]:
+                self.leave_out(calyx, neck.reason(visit.calyx))
+
+    def _shown(self, calyx: int, neck: Neck) -> float:
+        """Part of a calyx's wall, of what the scope can see of it, that shows from before a neck."""
+        own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
+        area = self.coverage.patches.area_mm2 * own
+        return float(area[self.coverage.in_view(neck.T_kidney_camera)].sum()) / max(float(area.sum()), 1e-9)
 
     def _retreat(self, seen: Perception, T: Array) -> Wish:
         """Back along the way that the scope came, until the way to the target lies ahead."""
@@ -247,6 +259,11 @@ class Explorer:
         at = way.place_mm(place)
         visit.nearest_mm = min(visit.nearest_mm, way.length_mm - at)
         if way.length_mm - at <= s.standoff_mm or self._share(self.target) >= s.done_share:
+            self._look_around(seen)
+            return Wish()
+        neck = self._necks[self.target]
+        if neck is not None and at >= neck.end_mm:
+            self._blocked = neck.reason(visit.calyx)
             self._look_around(seen)
             return Wish()
         if at > self._best_mm + _PROGRESS_MM * self._unit:

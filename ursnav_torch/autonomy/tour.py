@@ -5,7 +5,7 @@ the farthest calyx is the shortest, and it visits the branches depth first with 
 """
 
 import itertools
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,13 @@ class Tour:
     Args:
         kidney: whose.
         short_mm: a visit ends this far before a calyx's tip, mm of this kidney.
+        ends_mm: for every calyx, how far along its way a visit goes at most; None for no such end.
     """
 
-    def __init__(self, kidney: Kidney, short_mm: float) -> None:
+    def __init__(self, kidney: Kidney, short_mm: float, ends_mm: Sequence[float] | None = None) -> None:
         self.kidney, self.tree = kidney, kidney.centerline
-        self._ends = [self._end(calyx, short_mm) for calyx in range(len(kidney.calyces))]
+        farthest = ends_mm if ends_mm is not None else [np.inf] * len(kidney.calyces)
+        self._ends = [self._end(calyx, short_mm, float(most)) for calyx, most in enumerate(farthest)]
 
     def order(self, position_mm: Array, calyces: Collection[int], late: Collection[int] = ()) -> list[int]:
         """The shortest order to visit some calyces in, from a place (3,) in the lumen, kidney frame.
@@ -52,10 +54,10 @@ class Tour:
         ways = {c: self._way(start, self._ends[c]) for c in calyces}
         return _depth_first(sorted(calyces), ways, away, 1)
 
-    def _end(self, calyx: int, short_mm: float) -> int:
+    def _end(self, calyx: int, short_mm: float, most_mm: float) -> int:
         path = self.tree.path_to(calyx)
         way = along(self.tree.points_mm[path])
-        return int(path[np.flatnonzero(way <= max(way[-1] - short_mm, 0.0))[-1]])
+        return int(path[np.flatnonzero(way <= max(min(way[-1] - short_mm, most_mm), 0.0))[-1]])
 
     def _way(self, a: int, b: int) -> list[int]:
         """Nodes from one to another."""

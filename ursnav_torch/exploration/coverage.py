@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 UNSEEN, GLIMPSED, INSPECTED, OUT_OF_REACH = "unseen", "glimpsed", "inspected", "out of reach"
+#: A place that may be off is thought to be so far to the side, but no farther than this share of its way to the wall.
+_ROOM_SHARE = 0.5
 #: Every so many views of a VID are asked what a scope can see at all; neighbors see the same.
 REACH_STRIDE = 4
 
@@ -126,7 +128,7 @@ class Coverage:
         self.kidney, self.camera, self.settings = kidney, camera, settings or CoverageSettings()
         self.of_kidney = scaled(self.settings, kidney.scale)
         self.patches = divide_wall(kidney, lumen, self.settings)
-        self._scene, self._tree = RayScene(kidney.mesh), cKDTree(self.patches.center_mm)
+        self._lumen, self._scene, self._tree = lumen, RayScene(kidney.mesh), cKDTree(self.patches.center_mm)
         self._half_field = _half_field(camera)
         self.seen_s = np.zeros(len(self.patches.area_mm2))
         self.in_reach = np.ones(len(self.seen_s), bool)
@@ -135,15 +137,18 @@ class Coverage:
             for T in T_reachable:
                 self.in_reach[self.in_view(T)] = True
 
-    def add(self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = ()) -> None:
+    def add(
+        self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = (), position_sd_mm: float = 0.0
+    ) -> None:
         """Count a picture from a pose (4, 4) that stood for some seconds, but for the wall behind what lies before it.
 
         Args:
             T_kidney_camera: where it was taken.
             seconds: how long it stood.
             bodies: stones and instruments in the picture.
+            position_sd_mm: how far off the place may be, two of three times; wall counts that is in view all the same.
         """
-        seen = self.in_view(T_kidney_camera)
+        seen = self.surely_in_view(T_kidney_camera, position_sd_mm)
         if bodies and len(seen):
             before = np.logical_or.reduce([body.mask for body in bodies])
             seen = seen[~self._covered(T_kidney_camera, seen, before)]
@@ -155,13 +160,37 @@ class Coverage:
 
     def in_view(self, T_kidney_camera: Array) -> IntArray:
         """Indices of the patches seen from a pose: near enough, not at a slant, in the picture, and not hidden."""
-        s = self.of_kidney
         position = np.asarray(T_kidney_camera, float)[:3, 3]
-        near = np.array(self._tree.query_ball_point(position, s.farthest_mm), int)
+        near = np.array(self._tree.query_ball_point(position, self.of_kidney.farthest_mm), int)
+        return self._of_these(near, T_kidney_camera)
+
+    def surely_in_view(self, T_kidney_camera: Array, position_sd_mm: float) -> IntArray:
+        """Indices of the patches seen from a pose (4, 4), and from as far beside it as it may be off.
+
+        At the edge of what hides wall, a place off by little shows what the true one does not.
+        """
+        seen = self.in_view(T_kidney_camera)
+        if position_sd_mm <= 0 or not len(seen):
+            return seen
+        room = float(self._lumen.clearance_mm(T_kidney_camera[None, :3, 3])[0])
+        off_mm = min(position_sd_mm, _ROOM_SHARE * max(room, 0.0))
+        for aside in (*T_kidney_camera[:3, :2].T, *-T_kidney_camera[:3, :2].T):
+            T = T_kidney_camera.copy()
+            T[:3, 3] += off_mm * aside
+            seen = self._of_these(seen, T)
+        return seen
+
+    def _of_these(self, near: IntArray, T_kidney_camera: Array) -> IntArray:
+        """Those of some patches (N,) that are seen from a pose (4, 4)."""
+        s, position = self.of_kidney, T_kidney_camera[:3, 3]
         way = self.patches.center_mm[near] - position
         distance = np.linalg.norm(way, axis=1)
         ray = way / np.maximum(distance, 1e-9)[:, None]
-        keep = (distance >= s.nearest_mm) & (ray @ T_kidney_camera[:3, 2] > np.cos(s.edge_share * self._half_field))
+        keep = (
+            (distance >= s.nearest_mm)
+            & (distance <= s.farthest_mm)
+            & (ray @ T_kidney_camera[:3, 2] > np.cos(s.edge_share * self._half_field))
+        )
         keep &= np.sum(ray * self.patches.normal[near], axis=1) > np.cos(np.radians(s.incidence_deg))
         keep[keep] = self.camera.project(ray[keep] @ T_kidney_camera[:3, :3])[1]
         near, distance, ray = near[keep], distance[keep], ray[keep]

@@ -48,9 +48,11 @@ class Guide:
         self.chosen = -1
         self._at = vid.kidney.pelvis_mm
 
-    def paint(self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = ()) -> None:
+    def paint(
+        self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = (), position_sd_mm: float = 0.0
+    ) -> None:
         """Count a picture, see `Coverage.add`."""
-        self.coverage.add(T_kidney_camera, seconds, bodies)
+        self.coverage.add(T_kidney_camera, seconds, bodies, position_sd_mm)
 
     def see_stones(self, tracked: Tracked, image: NDArray[np.uint8], t_s: float, frame: int) -> None:
         """Take in the stones of a picture (H, W) or (H, W, 3), see `StoneWatch.see`.

@@ -321,7 +321,8 @@ class Navigator:
         """Count what a picture shows of the wall and of stones; find the way on where it was not found just now."""
         begun, t_s = time.monotonic(), frame.stamp.t_mono_s
         if tracked.T_kidney_camera is not None and tracked.is_settled and self._counted_s is not None:
-            self.guide.paint(tracked.T_kidney_camera, t_s - self._counted_s, tracked.bodies)
+            sd = tracked.certainty.position_sd_mm if tracked.certainty is not None else 0.0
+            self.guide.paint(tracked.T_kidney_camera, t_s - self._counted_s, tracked.bodies, sd)
         self._see_stones(tracked, frame)
         self._seen_from, self._counted_s = _believed(tracked), t_s
         if not 0 <= t_s - self._shown_s < GUIDE_S:  # a replay may go back

@@ -188,7 +188,8 @@ class Rehearsal:
             if sighting.T_kidney_camera is not None:
                 self._newest = (taken_s, sighting)
                 if sighting.settled:
-                    self.explorer.coverage.add(sighting.T_kidney_camera, taken_s - self._painted_s)
+                    stood_s, sd = taken_s - self._painted_s, sighting.position_sd_mm or 0.0
+                    self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, position_sd_mm=sd)
             self._painted_s = taken_s
 
     def _perceive(self, robot: Robot) -> Perception:
