@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
-from ursnav_torch.geometry import Array, transform_from
+from ursnav_torch.geometry import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +38,19 @@ class Segment:
             bend_rad: (2,) bend of the whole segment about x and y.
             along_mm: distance along the curve; may go beyond the tip or below 0 on the same circle.
         """
-        bend = np.asarray(bend_rad, float)
         s = self.length_mm if along_mm is None else along_mm
-        turn = bend * s / self.length_mm
-        theta = float(np.hypot(*turn))
-        R = Rotation.from_rotvec([*turn, 0.0]).as_matrix()
-        sideways = s / 2 * np.sinc(theta / 2 / np.pi) ** 2 * np.array([turn[1], -turn[0]])
-        return transform_from(R, [*sideways, s * np.sinc(theta / np.pi)])
+        x, y = (np.asarray(bend_rad, float) * (s / self.length_mm)).tolist()
+        theta = math.hypot(x, y)
+        cosine, sine = math.cos(theta), math.sin(theta)
+        # sin a / a and (1 - cos a) / a^2, which a straight segment has, too
+        one = sine / theta if theta > 1e-9 else 1.0
+        half = 2 * (math.sin(theta / 2) / theta) ** 2 if theta > 1e-9 else 0.5
+        return np.array([
+            [cosine + half * x * x, half * x * y, one * y, s * half * y],
+            [half * x * y, cosine + half * y * y, -one * x, -s * half * x],
+            [-one * y, one * x, cosine, s * one],
+            [0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
 
     def pulls_mm(self, bend_rad: ArrayLike) -> Array:
         """How far (2,) the motors of the pairs x and y have pulled their + cables in at a bend (2,)."""

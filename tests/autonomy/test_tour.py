@@ -37,5 +37,17 @@ def test_a_visit_ends_before_the_tip(phantom):
     assert np.isfinite(short.length_mm(phantom.pelvis_mm, range(6)))
 
 
+def test_a_visit_goes_no_farther_than_its_end_and_the_order_is_still_the_shortest(phantom):
+    ends = [np.inf, 4.0, 9.0, np.inf, 2.0, np.inf]
+    cut, whole = Tour(phantom, 3.0, ends), Tour(phantom, 3.0)
+    for calyx, most in enumerate(ends):
+        there = cut.length_mm(phantom.centerline.points_mm[0], [calyx])
+        assert there <= most and (there > most - 1.5 or most == np.inf)
+        assert there == whole.length_mm(phantom.centerline.points_mm[0], [calyx]) or most < np.inf
+    found = cut.order(phantom.pelvis_mm, range(6))
+    shortest = min(cut.length_mm(phantom.pelvis_mm, order) for order in itertools.permutations(range(6)))
+    assert cut.length_mm(phantom.pelvis_mm, found) == pytest.approx(shortest)
+
+
 def test_nothing_to_visit_has_no_order(tour, phantom):
     assert tour.order(phantom.pelvis_mm, []) == []

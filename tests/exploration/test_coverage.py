@@ -63,6 +63,14 @@ def test_what_lies_behind_the_camera_or_a_wall_is_not_in_view(coverage: Coverage
     assert (depth > np.linalg.norm(way, axis=1) - 1.1).all()
 
 
+def test_distances_alone_are_those_of_a_cast(phantom: Kidney, vid: Vid) -> None:
+    scene, T = RayScene(phantom.mesh), vid.T_kidney_camera[5]
+    rays = np.array([T[:3, 2], T[:3, 0], -T[:3, 1]])
+    far = T[:3, 3] + 1e3 * np.array([1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(scene.depth_mm(T[:3, 3], rays), scene.cast(T[:3, 3], rays)[0])
+    assert scene.depth_mm(far, [[1.0, 0.0, 0.0]])[0] > 1e6, "no wall there"
+
+
 def test_nothing_is_unseen_of_all_that_the_views_see(coverage: Coverage, vid: Vid) -> None:
     for T in vid.T_kidney_camera:
         coverage.add(T, 0.25)

@@ -83,7 +83,7 @@ class Explorer:
         self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
         self._doubts = self._hits = 0
         self._inspected_from_s: float | None = None
-        self._weighed: Iterator[ViewPlan] | None = None
+        self._weighed: Iterator[ViewPlan | None] | None = None
         self._best: ViewPlan | None = None
         self._view: tuple[ViewPlan, float] | None = None
         self._held_from_s, self._blocked, self._deepest_mm = 0.0, "", 0.0
@@ -350,18 +350,18 @@ class Explorer:
     def _weigh(self, seen: Perception, T: Array) -> None:
         """Weigh a few more views; when all were, go to the best or be done with this calyx."""
         if self._weighed is None:
-            self._weighed, self._best = self._planner.candidates(seen, T, self.target), None
+            self._weighed = self._planner.candidates(seen, T, self.target, self.settings.least_gain)
+            self._best = None
         for _ in range(_VIEWS_A_CYCLE):
-            plan = next(self._weighed, None)
-            if plan is None:
+            try:
+                self._best = next(self._weighed)
+            except StopIteration:
                 self._weighed = None
-                if self._best is None or self._best.gain < self.settings.least_gain:
+                if self._best is None:
                     self._close(seen, "no view from here shows more of it")
                 else:
                     self._view, self._held_from_s = (self._best, seen.t_s), seen.t_s
                 return
-            if self._best is None or plan.gain > self._best.gain:
-                self._best = plan
 
     def _share(self, calyx: int) -> float:
         """Part of a calyx's wall that was seen, of what the scope can see of it."""

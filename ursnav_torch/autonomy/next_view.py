@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 #: Bends away from the present one that are tried, in these directions, and advances along the curve, mm at scale 1.
 _BENDS_RAD, _DIRECTIONS = np.radians([20.0, 45.0, 70.0]), 6
 _ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
+#: A view costs the tip's way to it, and as much as this of way for the time that it takes, mm at scale 1.
+_TIME_MM = 8.0
 #: Where a bend is cut off by a wall is looked for in so many steps.
 _SHARES = np.linspace(0.0, 1.0, 17)
 
@@ -32,11 +34,13 @@ class ViewPlan:
         bend_rad: (2,) the robot's bend there.
         insertion_mm: its insertion there.
         gain: part of the calyx's wall, of what the scope can see of it, that this view adds.
+        worth: gain for the way that the tip makes to get there, 1/mm.
     """
 
     bend_rad: Array
     insertion_mm: float
     gain: float
+    worth: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,21 +61,37 @@ class ViewPlanner:
     kept_mm: float
     largest_bend_rad: float
 
-    def candidates(self, seen: Perception, T: Array, calyx: int) -> Iterator[ViewPlan]:
-        """Views from a pose (4, 4) one by one, as each costs a cast of rays: what each adds to a calyx (index)."""
+    def candidates(self, seen: Perception, T: Array, calyx: int, least_gain: float) -> Iterator[ViewPlan | None]:
+        """Views from a pose (4, 4) one by one, as each costs a cast of rays.
+
+        Args:
+            seen: where the joints are, and how far off the place may be.
+            T: the pose.
+            calyx: index of the one that is inspected.
+            least_gain: what adds less is no view to go to.
+
+        Returns:
+            The best view until now by gain for its way; None while there is none.
+        """
         own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
         area = self.coverage.patches.area_mm2
-        total = max(float(area[own].sum()), 1e-9)
-        wanted = own & ~self.coverage.seen()
+        area = np.where(own & ~self.coverage.seen(), area, 0.0) / max(float(area[own].sum()), 1e-9)
+        off_mm = seen.position_sd_mm or 0.0
+        best: ViewPlan | None = None
         for advance in (self.lumen.scale * mm for mm in _ADVANCES_MM):
             if seen.insertion_mm + advance < 0:
                 continue
             for bend in self._bends(seen.bend_rad):
                 found = self._pose(T, seen.bend_rad, bend, advance)
                 if found is not None:
-                    view = self.coverage.in_view(found)
-                    gain = float(area[view[wanted[view]]].sum()) / total
-                    yield ViewPlan(bend, seen.insertion_mm + advance, gain)
+                    cost = _TIME_MM * self.lumen.scale + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
+                    least = max(least_gain, 0.0 if best is None else best.worth * cost)
+                    gain = float(area[self.coverage.in_view(found)].sum())
+                    if gain > least and off_mm > 0:  # what is surely in view is asked only where it may matter
+                        gain = float(area[self.coverage.surely_in_view(found, off_mm)].sum())
+                    if gain > least:
+                        best = ViewPlan(bend, seen.insertion_mm + advance, gain, gain / cost)
+                    yield best
 
     def _bends(self, now: Array) -> list[Array]:
         turns = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS

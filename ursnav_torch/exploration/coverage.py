@@ -196,8 +196,7 @@ class Coverage:
         near, distance, ray = near[keep], distance[keep], ray[keep]
         if not len(near):
             return near
-        depth, _ = self._scene.cast(position, ray)
-        return near[depth >= distance - s.patch_mm]
+        return near[self._scene.depth_mm(position, ray) >= distance - s.patch_mm]
 
     def _covered(self, T_kidney_camera: Array, patches: IntArray, before: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which patches (N,) of those in view lie where something is before them, by its mask (h, w)."""

@@ -25,6 +25,12 @@ class RayScene:
         self._scene = rtcore_scene.EmbreeScene()
         TriangleMesh(self._scene, np.asarray(mesh.triangles, np.float32))
 
+    def depth_mm(self, origins_mm: ArrayLike, directions: ArrayLike) -> NDArray[np.float32]:
+        """Distances (N,) in mm as `cast` tells them, at less cost as there are no normals; huge without a wall."""
+        directions = np.ascontiguousarray(directions, np.float32)
+        origins = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_mm, np.float32), directions.shape))
+        return np.asarray(self._scene.run(origins, directions, query="DISTANCE"))
+
     def cast(self, origins_mm: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Distances (N,) in mm along unit ``directions`` (N, 3) from ``origins_mm`` (N, 3) or (3,), inf without a
         wall, and the mesh's outward unit normals there (N, 3), zero without a wall; all in the kidney frame."""

@@ -1,0 +1,48 @@
+"""The next view: what it adds is wall not yet seen, of two that add as much the nearer is taken, and walls count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ursnav_torch.autonomy.next_view import ViewPlanner
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.kinematics import Segment
+
+CALYX = 2
+
+
+@pytest.fixture
+def planner(phantom, phantom_lumen, lens, vid):
+    coverage = Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2])
+    return ViewPlanner(coverage, phantom_lumen, Segment(), 0.8, np.radians(120))
+
+
+@pytest.fixture
+def before(vid, at_root):
+    """A perception from before the calyx."""
+    return replace(at_root, T_kidney_camera=vid.T_kidney_camera[vid.calyx == CALYX][3], bend_rad=np.zeros(2))
+
+
+def best(planner, seen, least=0.0):
+    return list(planner.candidates(seen, seen.T_kidney_camera, CALYX, least))[-1]
+
+
+def test_it_gets_better_as_views_are_weighed_and_what_was_seen_adds_nothing(planner, before):
+    found = list(planner.candidates(before, before.T_kidney_camera, CALYX, 0.0))
+    worth = [p.worth for p in found if p is not None]
+    assert worth == sorted(worth) and worth[-1] > 0 and 0 < found[-1].gain <= 1
+    own = planner.coverage.patches.calyx == CALYX
+    planner.coverage.seen_s[own] = 9.0
+    assert best(planner, before) is None
+
+
+def test_what_adds_less_than_asked_for_is_no_view(planner, before):
+    gain = best(planner, before).gain
+    assert best(planner, before, least=1.0) is None
+    assert best(planner, before, least=0.9 * gain).gain >= 0.9 * gain
+
+
+def test_of_a_place_that_may_be_off_less_is_promised(planner, before):
+    sure, unsure = best(planner, before), best(planner, replace(before, position_sd_mm=1.0))
+    assert unsure is None or unsure.worth < sure.worth
