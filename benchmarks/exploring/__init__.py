@@ -35,6 +35,7 @@ from benchmarks.shared.statistics import wilson
 from benchmarks.shared.track_records import sources
 from ursnav_torch.autonomy import AutonomySettings, Explorer
 from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
+from ursnav_torch.devices import Limits
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
@@ -116,7 +117,6 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
     explorer = Explorer(own, lumen, careful)
     clock = SimulatedTime()
     twin = twin_in(case, known, rng, clock, stone, tissue_of(settings["tissue"]))
-    start = kidney.centerline.points_mm[0]
     locate = noisy_truth(rng) if known.vid is None else tracker_of(known.vid)
     operator = None
     if settings["pose"] == TRACKED:  # a person leads in, to where the tracker finds its place
@@ -125,20 +125,24 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
     rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], operator, clock)
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
-    visits = explorer.account().visits
+    return facts(explorer, rehearsal, found, truth, (stone, blocked)) | {"took_s": time.monotonic() - begun}
+
+
+def facts(
+    explorer: Explorer, rehearsal: Rehearsal, found: Rehearsed, truth: Coverage, barred: tuple[Array, int]
+) -> dict[str, Any]:
+    """What an exploration said and did, beside what is true; ``barred`` are the stone and the calyx that it closes."""
+    kidney, careful, (stone, blocked) = explorer.kidney, explorer.settings, barred
+    visits, start = explorer.account().visits, kidney.centerline.points_mm[0]
     ways = [route_to(kidney, start, c, ScopeLimits()) for c in range(len(kidney.calyces))]
     within = [c for c, way in enumerate(ways) if c != blocked and (way.feasible or visits[c].tried)]
     tours_mm = shortest_tours_mm(kidney, careful.standoff_mm, stone, blocked, within)
     true_share = {c.calyx: c.share for c in truth.calyces()}
-    limits = rehearsal.robot.limits
-    joints = np.array(found.joints).reshape(-1, 3)
-    passed = int((np.hypot(joints[:, 0], joints[:, 1]) > limits.max_bend_rad + 1e-6).sum())
-    passed += int(((joints[:, 2] < -1e-6) | (joints[:, 2] > limits.max_insertion_mm + 1e-6)).sum())
     return {
-        "seconds": found.t_s[-1], "took_s": time.monotonic() - begun, "end": explorer.machine.reason,
-        "finished": explorer.finished, "path_mm": found.path_mm,
-        "tour_mm": tours_mm[0], "tour_with_stone_mm": tours_mm[1],
-        "forced": contacts(found, stone), "pressed_mm": max(found.pressed_mm), "limits_passed": passed,
+        "seconds": found.t_s[-1], "end": explorer.machine.reason, "finished": explorer.finished,
+        "path_mm": found.path_mm, "tour_mm": tours_mm[0], "tour_with_stone_mm": tours_mm[1],
+        "forced": contacts(found, stone), "pressed_mm": max(found.pressed_mm),
+        "limits_passed": limits_passed(found, rehearsal.robot.limits),
         "disarmed": found.disarmed, "faults": found.faults[:5],
         "position_mm": np.percentile(found.off_mm, [50, 90]).tolist(),
         "states": {s: found.states.count(s) for s in dict.fromkeys(found.states)},
@@ -149,6 +153,14 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
             for i, v in enumerate(visits)
         ],
     }  # fmt: skip
+
+
+def limits_passed(found: Rehearsed, limits: Limits) -> int:
+    """In how many pictures the joints were beyond the robot's limits."""
+    joints = np.array(found.joints).reshape(-1, 3)
+    too_bent = np.hypot(joints[:, 0], joints[:, 1]) > limits.max_bend_rad + 1e-6
+    too_far = (joints[:, 2] < -1e-6) | (joints[:, 2] > limits.max_insertion_mm + 1e-6)
+    return int(too_bent.sum() + too_far.sum())
 
 
 def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], PictureAnswer]:

@@ -54,7 +54,6 @@ class Explorer:
         machine: the state and why.
         visits: what became of each calyx.
         target: index of the calyx that is headed for; -1 for none.
-        tour: the ways between visits, each as far as the scope goes.
     """
 
     def __init__(
@@ -76,7 +75,7 @@ class Explorer:
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
         self._necks = [find_neck(way, scaled(self._limits, self._unit), self._unit) for way in self._ways]
-        self.tour = Tour(self.kidney, s.standoff_mm, [n.end_mm if n is not None else np.inf for n in self._necks])
+        self._tour = Tour(self.kidney, s.standoff_mm, [n.end_mm if n is not None else np.inf for n in self._necks])
         self._way: Way | None = None  # along which the scope came
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
@@ -208,7 +207,7 @@ class Explorer:
         self._leave_out_hidden()
         left = [c for c, visit in enumerate(self.visits) if visit.verdict == OPEN]
         late = [c for c in left if self.visits[c].attempts]
-        order = self.tour.order(place, left, late)
+        order = self._tour.order(place, left, late)
         if not order:
             self._finish(seen, "every calyx was visited")
             return
