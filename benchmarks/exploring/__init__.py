@@ -10,7 +10,8 @@ do not allow (`ScopeLimits`: too narrow, too bent) are out of reach. The scope h
 explorer says is compared with the wall that the true poses saw; its path with the shortest tour through the calyces
 in reach, and to before the necks that it looked through, without and with the way to the stone. Seeds make the halves;
 results are kept in ``work`` for each phantom and setting, and the next call goes on from there. ``tissue=`` names what
-an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`).
+an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`). What a scope can see is
+what ``views`` a calyx see, and ``around`` times as many that look any way.
 """
 
 import hashlib
@@ -54,7 +55,7 @@ Array = NDArray[np.float64]
 ROOMS = ("autonomy", "exploration", "navigation", "simulation", "tracking")
 TRUE, TRACKED = "true", "tracked"
 SETTINGS = {
-    "phantoms": 8, "views": 60, "half": JUDGING, "pose": TRACKED, "seconds": 300.0,
+    "phantoms": 8, "views": 60, "around": 0.0, "half": JUDGING, "pose": TRACKED, "seconds": 300.0,
     "tissue": "breathing", "rate_hz": 15.0, "work": "", "set": "", "only": "", "out": "",
 }  # fmt: skip
 #: Noise of places that stand for a tracker's: mm and degrees, each axis.
@@ -87,11 +88,11 @@ def main(arguments: Sequence[str]) -> int:
 def explored(case: Case, settings: dict[str, Any], work: Path) -> dict[str, Any]:
     """What exploring one phantom brought; from the work folder where the same was done already."""
     careful = tried(settings["set"])
-    told = tuple(settings[k] for k in ("views", "pose", "seconds", "tissue", "rate_hz"))
+    told = tuple(settings[k] for k in ("views", "around", "pose", "seconds", "tissue", "rate_hz"))
     key = sources(ROOMS) + repr([case.kidney, case.seed, case.kind, careful, *told])
     path = work / "explored" / f"{case.kidney}_{hashlib.sha256(key.encode()).hexdigest()[:8]}.json"
     if not path.exists():
-        known = anatomy_of(case, settings["views"], work, drawn=settings["pose"] == TRACKED)
+        known = anatomy_of(case, settings["views"], settings["around"], work, drawn=settings["pose"] == TRACKED)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, explore_phantom(case, known, careful, settings))
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

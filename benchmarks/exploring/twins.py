@@ -43,14 +43,14 @@ class Anatomy:
     vid: Vid | None = None
 
 
-def anatomy_of(case: Case, views: int, work: Path, drawn: bool) -> Anatomy:
-    """A case's kidney with as many views a calyx; ``drawn``: with a VID, which is built once."""
+def anatomy_of(case: Case, views: int, around: float, work: Path, drawn: bool) -> Anatomy:
+    """A case's kidney with as many views a calyx and around; ``drawn``: with a VID, which is built once."""
     if drawn:
-        vid = vid_for(case, views, work, None)
+        vid = vid_for(case, views, around, work, None)
         return Anatomy(vid.kidney, vid.lumen, vid.camera, vid.T_kidney_camera, vid)
     kidney = phantom_of(case)
     lumen = LumenDistance.from_kidney(kidney)
-    planned = plan_views(kidney, lumen, PlanSettings(views, views))
+    planned = plan_views(kidney, lumen, PlanSettings(views, views, around))
     return Anatomy(kidney, lumen, equidistant_camera(), planned.T_kidney_camera)
 
 
