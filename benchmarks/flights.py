@@ -27,7 +27,7 @@ from benchmarks.shared.track_weights import fit_position
 from ursnav_torch.errors import InputError
 
 SETTINGS = {
-    "phantoms": 8, "views": 60, "around": 4.0, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
+    "phantoms": 8, "views": 60, "around": 8.0, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
     "other": False, "odometry": False, "fit": False, "save": False,
     "only": "", "out": "",
 }  # fmt: skip

@@ -44,7 +44,7 @@ def off(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
 
 def test_one_step_by_the_mean_of_both_slopes_gets_farther_than_by_either(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
     """Efficient second-order minimization; by the drawing's slopes alone 5.0 degrees are left, by the picture's 3.7."""
-    left = [off(aligner.align(seen, start, iterations=1, light_known=True).T_kidney_camera, T)
+    left = [off(aligner.align(seen, start[None], iterations=1, light_known=True)[0].T_kidney_camera, T)
             for seen, T, start in pairs]  # fmt: skip
     mm, deg = np.mean(left, axis=0)
     assert mm < 0.36 and deg < 3.2
@@ -52,9 +52,30 @@ def test_one_step_by_the_mean_of_both_slopes_gets_farther_than_by_either(aligner
 
 def test_more_steps_get_nearer_and_the_best_is_kept(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
     for seen, T, start in pairs:
-        few, many = (aligner.align(seen, start, iterations=n, light_known=True) for n in (1, 8))
+        few, many = (aligner.align(seen, start[None], iterations=n, light_known=True)[0] for n in (1, 8))
         assert many.score >= few.score and few.iterations == 1 < many.iterations <= 8
         assert off(many.T_kidney_camera, T)[0] < 0.35
+
+
+@pytest.mark.parametrize("light_known", [False, True])
+def test_several_alignments_at_once_end_where_each_ends_alone(aligner: Aligner, pairs, light_known: bool) -> None:  # type: ignore[no-untyped-def]
+    """One that sees nothing of the kidney among them, and one that ends at once."""
+    seen, T, start = pairs[0]
+    outside = T.copy()
+    outside[:3, 3] += 500.0
+    aside = [T @ transform_from(np.eye(3), np.array([x, 0.5, 0.0])) for x in (1.0, -1.0, 0.5, 0.7)]
+    starts = np.stack([start, T, outside, pairs[1][2], *aside])
+    lights = AT_CAMERA + 0.1 * np.arange(len(starts))[:, None] * np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    together = aligner.align(seen, starts, lights, light_known=light_known)
+    assert together[2].score == -1 and together[2].iterations == 0
+    assert len({end.iterations for end in together}) > 1, "some go on when others have ended"
+    for start, light, end in zip(starts, lights, together, strict=True):
+        (alone,) = aligner.align(seen, start[None], light, light_known=light_known)
+        assert end.iterations == alone.iterations and end.score == pytest.approx(alone.score, abs=1e-4)
+        np.testing.assert_allclose(end.T_kidney_camera, alone.T_kidney_camera, atol=1e-3)
+        np.testing.assert_allclose(end.light, alone.light, atol=1e-3)
+        assert end.drawing is not None and end.drawing.value.shape == (3, len(aligner.grid.rays.T))
+    assert aligner.align(seen, np.zeros((0, 4, 4))) == []
 
 
 def test_the_score_is_the_drawings_where_it_was_moved_to(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
@@ -81,10 +102,14 @@ def test_residuals_beyond_five_times_their_size_do_not_count() -> None:
     residual[:, :5] = 8.0  # the size of all is some 0.57
     good = np.ones(1000, np.float32)
     good[-1] = 0.0
-    weight = _tukey(residual, good, float(good.sum()))
+
+    def weights() -> np.ndarray:
+        return _tukey(residual[None], good[None], good[None].sum(1))[0]
+
+    weight = weights()
     assert (weight[:, :5] == 0).all() and (weight[:, 5:-1] > 0.99).all() and (weight[:, -1] == 0).all()
     residual[:, :5] = 0.2
-    assert (_tukey(residual, good, float(good.sum()))[:, :5] > 0.7).all()
+    assert (weights()[:, :5] > 0.7).all()
 
 
 def test_the_prior_draws_the_light_to_where_scopes_have_it(
@@ -93,8 +118,8 @@ def test_the_prior_draws_the_light_to_where_scopes_have_it(
     start = AT_CAMERA + np.array([1.0, -0.5, 0.3, 1.0, 0.05])
     monkeypatch.setattr(align, "_LIGHT_PRIOR", 5.0)
     for seen, _, aside in pairs[:3]:
-        np.testing.assert_allclose(aligner.align(seen, aside, start).light, AT_CAMERA, atol=0.15)
-        np.testing.assert_array_equal(aligner.align(seen, aside, start, light_known=True).light, start)
+        np.testing.assert_allclose(aligner.align(seen, aside[None], start)[0].light, AT_CAMERA, atol=0.15)
+        np.testing.assert_array_equal(aligner.align(seen, aside[None], start, light_known=True)[0].light, start)
 
 
 def test_what_is_not_valid_does_not_pull(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
@@ -107,5 +132,7 @@ def test_what_is_not_valid_does_not_pull(aligner: Aligner, pairs) -> None:  # ty
         weight[13:47, 13:47] = 0
         for name, counted in (("weighed", weight), ("blind", seen.weight)):
             spoiled = Fields(value, seen.slope_x, seen.slope_y, counted)
-            left[name].append(off(aligner.align(spoiled, start, iterations=8, light_known=True).T_kidney_camera, T)[0])
+            left[name].append(
+                off(aligner.align(spoiled, start[None], iterations=8, light_known=True)[0].T_kidney_camera, T)[0]
+            )
     assert np.median(left["weighed"]) < 0.25 < np.median(left["blind"])

@@ -88,11 +88,15 @@ class AlignGrid:
         return np.asarray(small.reshape(*image.shape[:-2], *size).numpy(), np.float32)
 
     def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
-        """Fields (M, 3, N) of drawings (H, W, M) in gray values 0 to 255, and the first one's slopes (2, 3, N)."""
-        value = self._fields(self.relief(gray))
-        along = np.stack(_slopes(np.ascontiguousarray(value[..., 0])))[:, self.compared]  # (2, N, 3)
-        inside = value[self.compared]  # (N, 3, M)
-        return np.ascontiguousarray(inside.transpose(2, 1, 0)), np.ascontiguousarray(along.transpose(0, 2, 1))
+        """Fields (B, M, 3, N) of drawings (H, W, B, M) in gray values 0 to 255, and slopes (B, 2, 3, N) of the first of
+        each M."""
+        height, width, poses, lights = gray.shape
+        value = self._fields(self.relief(gray.reshape(height, width, -1)), lights)
+        first = np.ascontiguousarray(value[..., ::lights])  # (H, W, 3, B)
+        along = np.stack(_slopes(first.reshape(height, width, -1)))[:, self.compared]  # (2, N, 3 B)
+        slope = along.reshape(2, -1, 3, poses).transpose(3, 0, 2, 1)
+        inside = value[self.compared].reshape(-1, 3, poses, lights)
+        return np.ascontiguousarray(inside.transpose(2, 3, 1, 0)), np.ascontiguousarray(slope)
 
     def relief(self, gray: Floats) -> Floats:
         """Relief (H, W, M) of drawings (H, W, M) in gray values: `features.flatten.flatten` on small pictures."""
@@ -103,20 +107,24 @@ class AlignGrid:
         return np.clip(detail / contrast, -_MOST, _MOST) * mask
 
     def sample(self, fields: Fields, pixels: Floats) -> tuple[Floats, Floats, Floats]:
-        """Values (3, N) and slopes (2, 3, N) of a picture at places (2, N) px, and how much each place counts (N,)."""
-        x, y = pixels[:, None]
-        parts = np.empty((3, 3, pixels.shape[1]), np.float32)
+        """Values (B, 3, N) and slopes (B, 2, 3, N) of a picture at places (2, B, N) px, and how much each counts
+        (B, N)."""
+        x, y = pixels
+        parts = np.empty((3, 3, *x.shape), np.float32)
         for part, of in zip(parts, (fields.value, fields.slope_x, fields.slope_y), strict=True):
             for row, plane in zip(part, of, strict=True):  # rows that lie together are what is fast afterwards
-                cv2.remap(plane, x, y, cv2.INTER_LINEAR, row[None], cv2.BORDER_REPLICATE)
-        weight = cv2.remap(fields.weight, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)[0]
-        return parts[0], parts[1:], weight
+                cv2.remap(plane, x, y, cv2.INTER_LINEAR, row, cv2.BORDER_REPLICATE)
+        weight = cv2.remap(fields.weight, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        by_place = np.moveaxis(parts, 2, 0)
+        return by_place[:, 0], by_place[:, 1:], np.asarray(weight, np.float32)
 
-    def _fields(self, relief: Floats) -> Floats:
-        """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first sets the softness."""
+    def _fields(self, relief: Floats, lights: int = 1) -> Floats:
+        """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first of every so many lights
+        sets their softness."""
         x, y = _slopes(self._masked_blur(relief, GRADIENT_BLUR * self._unit))
         strength = (x * x + y * y) * self.mask[..., None]
-        half = GRADIENT_SOFTNESS * np.sqrt(np.median(strength[self.compared, 0])) + np.float32(1e-6)
+        middle = np.median(strength[self.compared][:, ::lights], axis=0)
+        half = np.repeat(GRADIENT_SOFTNESS * np.sqrt(middle) + np.float32(1e-6), lights).astype(np.float32)
         share = self.mask[..., None] / np.sqrt(strength + half * half)
         return np.stack([relief, x * share, y * share], axis=2)
 

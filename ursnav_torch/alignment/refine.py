@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from ursnav_torch.alignment.align import Aligned, Aligner, Drawing
-from ursnav_torch.alignment.fields import AlignGrid, Fields, Floats
+from ursnav_torch.alignment.fields import AlignGrid, Floats
 from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.alignment.verification import Verifier
 from ursnav_torch.errors import InputError
@@ -219,14 +219,16 @@ class Refiner:
     def _round(
         self, aligner: Aligner, features: Features, states: Sequence[Aligned], light_known: bool
     ) -> list[Aligned]:
+        """Every one aligned, held back on its way as far as the wall demands."""
         with torch.inference_mode():
             picture = aligner.grid.of_picture(features)
-        return [self._once(aligner, picture, state, light_known) for state in states]
-
-    def _once(self, aligner: Aligner, picture: Fields, old: Aligned, light_known: bool) -> Aligned:
-        """One alignment, held back on its way as far as the wall demands."""
-        new = aligner.align(picture, old.T_kidney_camera, old.light, self.settings.iterations, light_known)
-        return replace(new, T_kidney_camera=self._kept_inside(new.T_kidney_camera, old.T_kidney_camera))
+        starts = np.stack([state.T_kidney_camera for state in states])
+        lights, iterations = np.stack([state.light for state in states]), self.settings.iterations
+        ends = aligner.align(picture, starts, lights, iterations, light_known)
+        return [
+            replace(end, T_kidney_camera=self._kept_inside(end.T_kidney_camera, start))
+            for end, start in zip(ends, starts, strict=True)
+        ]
 
     def _kept_inside(self, T_new: Array, T_old: Array) -> Array:
         """``T_new``, or as much of the way there from ``T_old`` as keeps the camera clear of the wall."""

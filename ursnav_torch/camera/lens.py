@@ -81,10 +81,13 @@ class Camera:
         return pixels, ok & self._on_sensor(pixels) & (angle <= self._theta_max())
 
     def pixels(self, points_camera: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Pixels (2, N) of camera-frame points (3, N), wherever they lie: `project` for those who ask many times."""
-        offsets, _ = MODELS[self.model].project(self.k, points_camera.T)  # type: ignore[arg-type]
-        focal, center = (np.array(pair, np.float32)[:, None] for pair in ((self.fx, self.fy), (self.cx, self.cy)))
-        return np.ascontiguousarray(offsets.T, np.float32) * focal + center
+        """Pixels (2, ...) of camera-frame points (3, ...), wherever they lie: `project` for who asks many times."""
+        offsets, _ = MODELS[self.model].project(self.k, np.moveaxis(points_camera, 0, -1))  # type: ignore[arg-type]
+        found = np.ascontiguousarray(np.moveaxis(offsets, -1, 0), np.float32)
+        for row, focal, center in zip(found, (self.fx, self.fy), (self.cx, self.cy), strict=True):
+            row *= np.float32(focal)
+            row += np.float32(center)
+        return found
 
     def rays(self, pixels: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Unit viewing directions (..., 3) in the camera frame of pixels (..., 2), and which are in the picture."""

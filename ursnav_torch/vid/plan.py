@@ -23,7 +23,9 @@ class PlanSettings:
         views_per_calyx: views labeled with each calyx.
         passage_views: views along the way from the pelvis to where the calyces' own views begin.
         around: so many views for each of those look any way the scope can bend to, most of them where there is room
-            to turn: between calyces, and as it comes in, a scope looks at walls that lie on no way.
+            to turn: between calyces, and as it comes in, a scope looks at walls that lie on no way. On the choosing
+            flights, 0, 240 and 480 of them give a place in 71, 91 and 93 % of pictures (`benchmarks.flights
+            half=choosing around=`, 60 views a calyx).
         nearest_mm, farthest_mm: range of distances along the centerline from a calyx's tip.
         tilt_deg: spread (standard deviation) of the viewing direction about the way in; the scope's wrist.
         largest_tilt_deg: no view beyond.
@@ -38,7 +40,7 @@ class PlanSettings:
 
     views_per_calyx: int = 240
     passage_views: int = 240
-    around: float = 1.0
+    around: float = 2.0
     nearest_mm: float = 2.5
     farthest_mm: float = 13.0
     tilt_deg: float = 16.0
