@@ -85,7 +85,9 @@ def _asked(vid: Vid, pictures: int, views: int, seed: int) -> list[dict[str, Any
     """``pictures`` of every kind, and twice as many of nothing."""
     rng, presets = np.random.default_rng(70_000 + seed), kinds()
     each = round(pictures * len(presets) / (len(vid.kidney.calyces) + 1)) + 1
-    plan = replace(PlanSettings(), views_per_calyx=each, passage_views=each, roll_deg=180.0, seed=501 + seed)
+    plan = replace(
+        PlanSettings(), views_per_calyx=each, passage_views=each, around=0.0, roll_deg=180.0, seed=501 + seed
+    )
     shuffled = _shuffled(presets, rng)
     queries = chain(
         simulated_queries(vid, RaycastRenderer, plan, rng, shuffled),

@@ -89,7 +89,7 @@ def _made(seed: int, pictures: int, views: int, work: Path) -> Lessons:
     kidney = make_phantom_kidney(seed, calyces=CALYCES[seed % len(CALYCES)])
     vid = phantom_vid(kidney, PlanSettings(views, views), work / f"verification_vid_{seed}_{views}")
     each = round(pictures * len(kinds()) / (len(kidney.calyces) + 1)) + 1
-    plan = replace(PlanSettings(), views_per_calyx=each, passage_views=each, roll_deg=180.0, seed=seed + 1)
+    plan = replace(PlanSettings(), views_per_calyx=each, passage_views=each, around=0.0, roll_deg=180.0, seed=seed + 1)
     rng = np.random.default_rng(seed)
     names = [str(name) for name in rng.permutation(list(kinds()))]
     queries = simulated_queries(vid, RaycastRenderer, plan, rng, {name: kinds()[name] for name in names})

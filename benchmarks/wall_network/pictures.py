@@ -110,8 +110,8 @@ def draw_lesson(seed: int, widest: Preset = WIDE) -> Lesson | None:
 def _plan(seed: int) -> PlanSettings:
     """Places and directions wider than a VID's: a scope looks anywhere."""
     return PlanSettings(
-        views_per_calyx=40, passage_views=120, tilt_deg=24, largest_tilt_deg=70, nearest_mm=1.5, farthest_mm=18,
-        roll_deg=180, seed=seed,
+        views_per_calyx=40, passage_views=120, around=0.0, tilt_deg=24, largest_tilt_deg=70, nearest_mm=1.5,
+        farthest_mm=18, roll_deg=180, seed=seed,
     )  # fmt: skip
 
 

@@ -116,7 +116,9 @@ def learn_confidence(
         Plain data for `certainty_model`.
     """
     rng = np.random.default_rng(plan.seed + 1)
-    alike = replace(plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, seed=plan.seed + 1)
+    alike = replace(
+        plan, views_per_calyx=queries_per_calyx, passage_views=queries_per_calyx, around=0.0, seed=plan.seed + 1
+    )
     total = round((1 + NONE_SHARE) * queries_per_calyx * (len(vid.kidney.calyces) + 1))
     asker, pictures = partial(_Asker, vid, make_localizer), _pictures(vid, make_renderer, alike, rng)
     rows = []
