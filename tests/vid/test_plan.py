@@ -21,7 +21,7 @@ def views(phantom: Kidney, phantom_lumen: LumenDistance, settings: PlanSettings)
 
 
 def test_counts(views: Plan, phantom: Kidney, settings: PlanSettings) -> None:
-    """As many views of each calyx as asked for, at least; of the others, two thirds around, each observes one or none."""
+    """As many views of each calyx as asked for, at least; the others, two thirds around, observe one or none."""
     check_rigid(views.T_kidney_camera, "T_kidney_camera")
     counts = [(views.calyx == c).sum() for c in range(len(phantom.calyces))]
     assert min(counts) >= 40 and len(views.calyx) == 40 * len(phantom.calyces) + 60 + 120
