@@ -3,7 +3,8 @@
 Simulated pictures are located twice, by the search in two stages and by the exhaustive one, in turns: how often both
 name the same calyx and places within 0.3 mm, refined and not, and what a picture takes. ``tiled=100000`` also stores
 the VID's views again and again up to that number, and opens that in a process of its own: seconds, memory and bytes of
-a VID as large as that. What it answers is not looked at, since views come again.
+a VID as large as that. What it answers is not looked at, since views come again. Beside what a clock says stands what
+the processor worked, which a busy machine changes less.
 
 Arguments, each ``key=value``: ``vid=DIR`` (a phantom's of ``views=2000`` is built where it is left out)
 ``pictures=200`` ``tiled=0`` ``threads=2`` ``seed=1`` ``work=DIR`` ``out=FILE.json``.
@@ -42,6 +43,8 @@ SAME_MM = 0.3
 #: Pictures that the tiled VID locates.
 _TIMED = 20
 Images = list[NDArray[np.uint8]]
+#: By the clock and of the processor.
+Seconds = tuple[float, float]
 
 
 @errors_told
@@ -80,7 +83,7 @@ def compare(report: Report, vid: Vid, images: Images) -> None:
     screened = Localizer(replace(vid, screen=vid.screen or make_screen(vid.features)))
     exhaustive = Localizer(replace(vid, screen=None))
     agree: dict[str, list[bool]] = {"refined": [], "unrefined": []}
-    milliseconds: dict[str, list[float]] = {"two stages": [], "exhaustive": []}
+    taken: dict[str, list[Seconds]] = {"two stages": [], "exhaustive": []}
     for image in images:
         try:
             features = screened.features(image)
@@ -88,10 +91,10 @@ def compare(report: Report, vid: Vid, images: Images) -> None:
             continue
         found = []
         for name, localizer in (("two stages", screened), ("exhaustive", exhaustive)):
-            start = time.perf_counter()
+            start = now()
             with torch.inference_mode(), one_thread_an_operation():
                 found.append(localizer.judge(features))
-            milliseconds[name].append((time.perf_counter() - start) * 1e3)
+            taken[name].append(since(start))
         for kind, alike in agree.items():
             alike.append(same_place(screened, found[0], found[1], refined=kind == "refined"))
     group = f"{len(vid):,} views, two stages against exhaustive search"
@@ -99,8 +102,8 @@ def compare(report: Report, vid: Vid, images: Images) -> None:
         report.add(
             group, f"same calyx and within {SAME_MM} mm, {kind}", "%", [100 * float(np.mean(alike))], n=len(alike)
         )
-    for name, taken in milliseconds.items():
-        report.add(group, f"from features to place, {name}", "ms", taken)
+    for name, seconds in taken.items():
+        _add_times(report, group, f"from features to place, {name}", "ms", seconds)
 
 
 def same_place(localizer: Localizer, one: Judgement, other: Judgement, refined: bool) -> bool:
@@ -128,33 +131,50 @@ def tile(vid: Vid, count: int, folder: Path) -> None:
 def measure_opened(report: Report, folder: Path, images: Images, threads: int) -> None:
     """What opening a VID and locating pictures in it take, in a process of its own."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        views, opened, ready, milliseconds, memory = pool.submit(open_and_locate, folder, images, threads).result()
+        views, opened, ready, located, memory = pool.submit(open_and_locate, folder, images, threads).result()
     group = f"{views:,} views, opened anew (views come again: for time and memory alone)"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e9
-    report.add(group, "opening", "s", [opened])
-    report.add(group, "opening and making ready", "s", [ready])
-    report.add(group, "picture to place, refined", "ms", milliseconds)
-    report.add(group, f"greatest resident memory, {len(milliseconds)} pictures", "GiB", [memory], n=1)
+    _add_times(report, group, "opening", "s", [opened])
+    _add_times(report, group, "opening and making ready", "s", [ready])
+    _add_times(report, group, "picture to place, refined", "ms", located)
+    report.add(group, f"greatest resident memory, {len(located)} pictures", "GiB", [memory], n=1)
     report.add(group, "on disk", "GB", [size], n=1)
 
 
-def open_and_locate(folder: Path, images: Images, threads: int) -> tuple[int, float, float, list[float], float]:
-    """Views; seconds to a VID and to a localizer; milliseconds a picture; greatest resident memory, GiB."""
+def open_and_locate(folder: Path, images: Images, threads: int) -> tuple[int, Seconds, Seconds, list[Seconds], float]:
+    """Views; seconds to a VID, to a localizer, of each picture; greatest resident memory, GiB."""
     torch.set_num_threads(threads)
-    start = time.perf_counter()
+    start = now()
     vid = load_vid(folder)
-    opened = time.perf_counter() - start
+    opened = since(start)
     localizer = Localizer(vid)
-    ready, milliseconds = time.perf_counter() - start, []
+    ready, located = since(start), []
     for image in images:
-        start = time.perf_counter()
+        start = now()
         try:
             localizer.locate(image)
         except FeatureError:
             continue
-        milliseconds.append((time.perf_counter() - start) * 1e3)
+        located.append(since(start))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return len(vid), opened, ready, milliseconds, memory
+    return len(vid), opened, ready, located, memory
+
+
+def now() -> Seconds:
+    """The clock's and the processor's seconds."""
+    return time.perf_counter(), time.process_time()
+
+
+def since(start: Seconds) -> Seconds:
+    """Seconds since `now` said ``start``."""
+    clock, processor = now()
+    return clock - start[0], processor - start[1]
+
+
+def _add_times(report: Report, group: str, name: str, unit: str, taken: list[Seconds]) -> None:
+    scale = 1e3 if unit == "ms" else 1.0
+    for column, what in enumerate(("", ", of a processor")):
+        report.add(group, name + what, unit, [scale * seconds[column] for seconds in taken])
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,7 +23,8 @@ from ursnav_torch.kidney import make_phantom_kidney, write_calyces, write_center
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.segmentation import Scan, write_dicom
 from ursnav_torch.session import Recorder
-from ursnav_torch.vid import PlanSettings, build_vid, export_thesis, pose_cells
+from ursnav_torch.vid import PlanSettings, build_vid, export_thesis, make_screen, pose_cells
+from ursnav_torch.vid.screen import save_screen
 
 #: Larger files of the corpus are left out: they only slow things down.
 _LARGEST = 1 << 18
@@ -35,6 +37,7 @@ def make_seeds(folder: Path) -> None:
     vid = build_vid(kidney, lens, DefaultSettings(), RaycastRenderer, plan, folder / "vid", workers=1)
     export_thesis(vid, folder / "views")
     shutil.copy(folder / "vid" / "features.safetensors", folder / "features.safetensors")
+    save_screen(folder / "screen.safetensors", replace(vid, screen=make_screen(vid.features, 4)))
     write_calyces(folder / "calyces.csv", kidney.calyces, kidney.pelvis_mm)
     write_centerline(folder / "centerline.csv", kidney.centerline, [c.name for c in kidney.calyces])
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=20.0)

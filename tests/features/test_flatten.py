@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from ursnav_torch.camera import equidistant_camera
-from ursnav_torch.features.flatten import LocalPlane, flatten, masked_blur, remove_stripes
+from ursnav_torch.features.flatten import LocalPlane, blur, flatten, masked_blur, remove_stripes
 
 LENS = equidistant_camera(160, 125, 125)
 MASK = torch.from_numpy(LENS.pixel_rays()[1]).float()
@@ -22,6 +22,11 @@ def test_blurring_does_not_drag_the_outside_in() -> None:
     flat = torch.full((125, 125), 3.0) * MASK + 1e6 * (1 - MASK)
     inside = masked_blur(flat, MASK, 3.0)[MASK > 0]
     torch.testing.assert_close(inside, torch.full_like(inside, 3.0), rtol=1e-4, atol=1e-4)
+
+
+def test_a_masks_own_blur_made_once_changes_no_bit() -> None:
+    both = blur(torch.stack([wall() * MASK, MASK]), 3.0)
+    assert torch.equal(masked_blur(wall(), MASK, 3.0), both[0] / both[1].clamp_min(1e-3))
 
 
 def test_relief_does_not_know_the_exposure_or_the_vignette() -> None:

@@ -107,3 +107,15 @@ def test_refuses_what_it_cannot_use() -> None:
 def test_an_unknown_sampling_is_refused_with_the_settings_not_at_the_first_picture() -> None:
     with pytest.raises(InputError, match="arc_length"):
         DefaultSettings(sampling="arc_length")
+
+
+def test_farthest_is_the_plain_loop() -> None:
+    """Again and again the point that is farthest from those chosen, times its weight."""
+    rng = np.random.default_rng(3)
+    points, weights = rng.uniform(0, 100, (300, 2)), rng.uniform(0.1, 1, 300)
+    chosen: list[int] = []
+    away = ((points - points.mean(0)) ** 2).sum(1)
+    for _ in range(40):
+        chosen.append(int(np.argmax(away * (weights + 1e-9) ** 2)))
+        away = ((points[:, None] - points[chosen]) ** 2).sum(2).min(1)
+    assert sample(points, 40, "farthest", weights).tolist() == sorted(chosen)

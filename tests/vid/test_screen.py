@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
@@ -15,6 +16,7 @@ from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import LocalCompute, PlanSettings, Vid, build, build_vid, load_vid, make_screen, save_vid
+from ursnav_torch.vid.screen import load_screen
 
 
 @pytest.fixture
@@ -60,6 +62,18 @@ def test_a_changed_or_missing_screen_is_refused(folder: Path) -> None:
     path.unlink()
     with pytest.raises(InputError, match=r"lacks screen\.safetensors"):
         load_vid(folder)
+
+
+def test_arrays_that_do_not_fit_are_refused(folder: Path) -> None:
+    path = folder / "screen.safetensors"
+    data = {name: tensor.clone() for name, tensor in load_file(str(path)).items()}
+    for changed in ({"calyx": data["calyx"][1:]}, {"table": data["table"].float()}, {"sectors": torch.zeros(0)}):
+        save_file(data | changed, str(path))
+        with pytest.raises(InputError, match="which do not fit; build the VID again"):
+            load_screen(path)
+    path.write_bytes(b"no such file")
+    with pytest.raises(InputError, match=r"screen\.safetensors is damaged"):
+        load_screen(path)
 
 
 def test_features_without_maps_have_no_screen(vid: Vid) -> None:

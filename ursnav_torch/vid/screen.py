@@ -25,6 +25,16 @@ SCREEN_FROM = 10_000
 #: among the best 256 (pictures of phantoms; 64 components: 99.9 %).
 COMPONENTS = 128
 _VIEWS_AT_A_TIME = 1_000
+#: What the file holds, and in which kind of numbers.
+_KINDS = {
+    "frequency": torch.int64,
+    "vectors": torch.float32,
+    "sectors": torch.int64,
+    "table": torch.float16,
+    "sums": torch.uint8,
+    "T_kidney_camera": torch.float64,
+    "calyx": torch.int64,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,16 +107,28 @@ def load_screen(path: Path) -> tuple[Screen, NDArray[np.float64], NDArray[np.int
     """
     try:
         data = load_file(str(path))
-        basis = SteerableBasis(data["frequency"], data["vectors"], int(data["sectors"][0]))
-        T, calyx, sums = (data[name].numpy() for name in ("T_kidney_camera", "calyx", "sums"))
-        screen = Screen(basis, data["table"], sums, np.zeros(len(sums), bool))
-    except (SafetensorError, KeyError, IndexError, OSError) as error:
+        tensors = [data[name] for name in _KINDS]
+    except (SafetensorError, KeyError, OSError) as error:
         raise InputError(f"{path} is damaged ({error}); copy it again or build the VID again.") from None
-    views = len(T)
-    shapes = (T.shape, calyx.shape, sums.shape, tuple(screen.table.shape))
-    if shapes != ((views, 4, 4), (views,), (views, 32), (2 * len(basis), views)):
-        raise InputError(f"{path}: arrays of {shapes} do not fit together; build the VID again.")
-    return screen, T, calyx
+    views, components = len(data["T_kidney_camera"]), len(data["frequency"])
+    width = data["vectors"].shape[1] if data["vectors"].ndim == 3 else -1
+    wanted = [
+        (components,),
+        (components, width, 2),
+        (1,),
+        (2 * components, views),
+        (views, 32),
+        (views, 4, 4),
+        (views,),
+    ]
+    found = [(tensor.dtype, tuple(tensor.shape)) for tensor in tensors]
+    if found != list(zip(_KINDS.values(), wanted, strict=True)):
+        raise InputError(
+            f"{path} holds {dict(zip(_KINDS, found, strict=True))}, which do not fit; build the VID again."
+        )
+    basis = SteerableBasis(data["frequency"], data["vectors"], int(data["sectors"][0]))
+    T, calyx, sums = (data[name].numpy() for name in ("T_kidney_camera", "calyx", "sums"))
+    return Screen(basis, data["table"], sums, np.zeros(views, bool)), T, calyx
 
 
 def _sum_of(features: ViewFeatures, view: int) -> bytes:
