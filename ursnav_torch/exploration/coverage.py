@@ -173,7 +173,7 @@ class Coverage:
         if position_sd_mm <= 0 or not len(seen):
             return seen
         room = float(self._lumen.clearance_mm(T_kidney_camera[None, :3, 3])[0])
-        off_mm = min(position_sd_mm, _ROOM_SHARE * max(room, 0.0))
+        off_mm = min(position_sd_mm / 3**0.5, _ROOM_SHARE * max(room, 0.0))  # along one axis of three
         for aside in (*T_kidney_camera[:3, :2].T, *-T_kidney_camera[:3, :2].T):
             T = T_kidney_camera.copy()
             T[:3, 3] += off_mm * aside
