@@ -151,8 +151,8 @@ def test_of_a_place_that_may_be_off_only_wall_counts_that_shows_all_the_same(cov
     for _ in range(12):
         off = T.copy()
         off[:3, 3] += rng.normal(0, 0.3, 3)
-        plain, sure = set(coverage.in_view(off)), set(coverage.surely_in_view(off, 0.5))
+        plain, sure = set(coverage.in_view(off)), set(coverage.surely_in_view(off, 3**0.5 * 0.5))
         assert sure <= plain
         wrong, wrong_sure, counted = wrong + len(plain - truth), wrong_sure + len(sure - truth), counted + len(sure)
-    assert wrong_sure < 0.6 * wrong and counted > 6 * len(truth)
+    assert wrong_sure < 0.6 * wrong and counted > 4 * len(truth)
     assert set(coverage.surely_in_view(T, 0.0)) == truth
