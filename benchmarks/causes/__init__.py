@@ -1,0 +1,103 @@
+"""Why wrong answers are wrong: ``python -m benchmarks.causes data=DIR work=DIR``.
+
+A still that is answered wrongly is one of three: **search**, no hypothesis near the truth was aligned; **alignment**,
+one was and ended so that another is believed, though the true pose, aligned, would be preferred to the answer;
+**ranking**, the answer is preferred even to that. Of those that the search missed it is told, too, whether the true
+pose would be preferred. A still is right when it names the true calyx; where the truth names none, when it is near.
+
+Arguments, each ``key=value``: ``data=DIR`` (a folder a kidney, see `benchmarks.shared.kidneys`) ``work=DIR`` (keeps the
+VIDs) ``styles=tissue`` (names with + between them) ``stride=1`` (every so many stills) ``within_mm=4 within_deg=25``
+(what is near the truth) ``out=FILE.json``.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.shared.kidneys import Still, data_folder, kidneys_with, stills, vid_of
+from benchmarks.shared.results import Report, errors_told, overrides, work_folder
+from ursnav_torch.alignment import Refiner
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.geometry import angle_between
+from ursnav_torch.localization import Localizer
+from ursnav_torch.threads import one_thread_an_operation
+
+DEFAULTS = {
+    "data": "", "work": "", "styles": "tissue", "stride": 1, "within_mm": 4.0, "within_deg": 25.0, "out": "",
+}  # fmt: skip
+RIGHT, UNREAD, SEARCH, ALIGNMENT, RANKING = "right", "too little seen", "search", "alignment", "ranking"
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """What is near the truth: mm at the kidney's scale 1, and degrees between viewing directions."""
+
+    mm: float
+    deg: float
+
+
+@errors_told
+def main(arguments: Sequence[str]) -> int:
+    """Run the suite, print its tables and write its JSON file."""
+    settings = overrides(DEFAULTS, arguments)
+    work, folder = work_folder(settings, "the kidneys' VIDs"), data_folder(settings["data"])
+    report = Report("causes", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
+    near = Near(settings["within_mm"], settings["within_deg"])
+    for style in str(settings["styles"]).split("+"):
+        names = kidneys_with(folder, style)
+        if not names:
+            raise InputError(f"No kidney in {folder} has stills of style {style!r}: styles= names their folders.")
+        for name in names:
+            vid = vid_of(folder, name, work)
+            localizer, refiner = Localizer(vid), Refiner(vid)
+            asked = stills(folder, name, style)[:: settings["stride"]]
+            tell(report, f"{name}, {style}", [cause(localizer, refiner, still, near) for still in asked])
+    report.finish(settings["out"])
+    return 0
+
+
+def cause(localizer: Localizer, refiner: Refiner, still: Still, near: Near) -> tuple[str, bool]:
+    """Why a still is answered as it is, and whether the true pose, aligned, is preferred to the answer.
+
+    The answer's start and the true pose are aligned side by side, as the hypotheses of a picture are.
+    """
+    vid, true = localizer.vid, still.T_kidney_camera
+    with torch.inference_mode(), one_thread_an_operation():
+        try:
+            features = localizer.features(still.image)
+        except FeatureError:
+            return UNREAD, False
+        found = localizer.judge(features)
+        scale, pose = vid.kidney.scale, localizer.pose(found)[None]
+        named = vid.calyx_name(found.calyx) == still.calyx
+        reached = named if still.calyx else _any_near(pose, true, near, scale)
+        if reached or found.refined is None:
+            return (RIGHT, True) if reached else (RANKING, False)
+        preferred = refiner.refine(features, [true, found.refined.T_start]).hypothesis == 0
+        starts = np.stack(localizer.starts(found.ranking, refiner.settings.hypotheses))
+    if not _any_near(starts, true, near, scale):
+        return SEARCH, preferred
+    return (ALIGNMENT if preferred else RANKING), preferred
+
+
+def tell(report: Report, group: str, causes: Sequence[tuple[str, bool]]) -> None:
+    """Rows of one kidney's stills: each cause, and of those that the search missed how many the truth would win."""
+    counts = Counter(name for name, _ in causes)
+    for name in (RIGHT, UNREAD, SEARCH, ALIGNMENT, RANKING):
+        note = f"{counts[name]}/{len(causes)}"
+        if name == SEARCH:
+            won = sum(preferred for own, preferred in causes if own == SEARCH)
+            note += f", in {won} of them the true pose would be preferred to the answer"
+        report.add(group, name, "%", [100 * counts[name] / len(causes)], note, len(causes))
+
+
+def _any_near(T: Array, T_true: Array, near: Near, scale: float) -> bool:
+    """Whether any pose (N, 4, 4) is near the true one."""
+    mm = np.linalg.norm(T[:, :3, 3] - T_true[:3, 3], axis=1) / scale
+    deg = np.degrees(angle_between(T[:, :3, 2], T_true[None, :3, 2]))
+    return bool(((mm < near.mm) & (deg < near.deg)).any())
