@@ -116,9 +116,7 @@ class OwnKidneySettings:
     Attributes:
         weights: constant, and weights of an `Evidence`'s score, lead and fit, in the log-odds that a picture shows
             the VID's kidney and not another: logistic regression over flights through eight phantoms, each in its own
-            and in others' VIDs (`benchmarks.own_kidney`). The constant was -4.2, a right VID being likelier than a wrong
-            one; on the choosing flights other kidneys were believed in more pictures than a right one gained by that
-            (`benchmarks.flights half=choosing`, and with other=true).
+            and in others' VIDs, plus 1 for a right VID being likelier than a wrong one (`benchmarks.own_kidney`).
         sensor_gate_sd: a sensor's reading that the pose meets within so many standard deviations speaks for this
             kidney; the alignment's own noise is among them.
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
@@ -128,7 +126,7 @@ class OwnKidneySettings:
         frame_s: time between pictures that these numbers are stated for.
     """
 
-    weights: tuple[float, float, float, float] = (-5.2, 15.8, 4.9, -3.1)
+    weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
     sensor_gate_sd: float = 3.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
