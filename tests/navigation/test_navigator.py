@@ -182,7 +182,7 @@ def test_less_effort_costs_less_and_keeps_the_track(tracker, vid, renderer):
         assert found.state == "tracking" and np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 2.0
         seconds[level] = sum(r.iterations for r in tried)
     tracker._refiner.refine = refine
-    assert seconds[1] < 0.6 * seconds[0]
+    assert seconds[1] < 0.75 * seconds[0]
 
 
 @pytest.fixture(scope="module")

@@ -156,7 +156,7 @@ class Tracker:
 
         Args:
             level: 0 spends all that the settings say, 1 follows a good track by aligning two poses in a few steps
-                instead of searching around it, 2 or more also weighs a third of the hypotheses.
+                and searches half as often, 2 or more also weighs a third of the hypotheses.
         """
         full, refinement = self.settings.filter, self._full_refinement
         few = max(full.hypotheses // 3, 2)
@@ -164,7 +164,8 @@ class Tracker:
         self._pursuit.starts = 2 if level else challenger.starts
         self._pursuit.catches = challenger.catches // 2 if level else challenger.catches
         self._refiner.settings = replace(refinement, iterations=4) if level else refinement
-        self._filter.settings = replace(full, hypotheses=few, best_fitting=max(few // 4, 1)) if level > 1 else full
+        seldom = replace(full, every_s=2 * full.every_s) if level else full
+        self._filter.settings = replace(seldom, hypotheses=few, best_fitting=max(few // 4, 1)) if level > 1 else seldom
 
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
@@ -359,7 +360,7 @@ class Tracker:
     def _gone_on(self, features: Features, expected: Prior, way: Array | None, t_s: float) -> Refined | None:
         """The pose of a settled track, aligned alone, with the hypotheses carried along; None where it is time, or
         necessary, to weigh the picture against all views."""
-        due = self._looked_s is None or t_s - self._looked_s >= self.settings.filter.every_s - _SAME_TIME_S
+        due = self._looked_s is None or t_s - self._looked_s >= self._filter.settings.every_s - _SAME_TIME_S
         sure = self._sure is not None and self.state_at(self._sure) == TRACKING
         if due or not sure or self._state != TRACKING or self._aligned is None or self._found is None:
             return None
