@@ -39,7 +39,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """110 views, built in one go by two workers."""
+    """150 views, built in one go by two workers."""
     out = tmp_path_factory.mktemp("whole") / "vid"
     build = started(out, "workers=2")
     err = build.communicate(timeout=300)[1]
@@ -59,7 +59,7 @@ def test_the_folder_is_as_the_contract_says(whole: Path) -> None:
     assert [p.name for p in whole.parent.iterdir()] == ["vid"], "nothing else is written in the caller's folder"
     rows = read_csv(whole / "views.csv", ["view"], "views")
     assert list(rows[0]) == ["view", "calyx", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"]
-    assert len(rows) == 110 == len(list((whole / "images").glob("*.png")))
+    assert len(rows) == 150 == len(list((whole / "images").glob("*.png")))
     assert list(read_csv(whole / "calyces.csv", ["calyx"], "calyces")[0])[:4] == ["calyx", "x_mm", "y_mm", "z_mm"]
     about = json.loads((whole / "vid.json").read_text(encoding="utf-8"))
     assert {"format", "camera", "kidney", "features", "package_version", "sha256"} <= set(about)
@@ -88,7 +88,7 @@ def test_an_interrupted_build_goes_on_to_the_same_bytes(
         time.sleep(0.1)
     kept = shard.stat().st_mtime_ns
     done = run("build_vid", *SMALL, f"out={out}", "workers=1")
-    assert (done.code, done.err) == (0, "") and done.out.startswith(f"110 views in {out}")
+    assert (done.code, done.err) == (0, "") and done.out.startswith(f"150 views in {out}")
     assert content(out) == content(whole) and not (tmp_path / "vid.partial").exists()
     assert kept < (out / "vid.json").stat().st_mtime_ns
 
@@ -146,7 +146,7 @@ def test_awkward_paths(run: Any, user_files: Path, phantom: Kidney) -> None:
     assert (done.code, done.err) == (0, "")
     vid = load_vid(user_files / "vid [x]")
     assert [c.name for c in vid.kidney.calyces] == [c.name for c in phantom.calyces]
-    assert vid.camera.fx == 23 and len(vid) == 20
+    assert vid.camera.fx == 23 and len(vid) == 24
 
 
 def test_views_collected_elsewhere(run: Any, vid: Vid, tmp_path: Path) -> None:
