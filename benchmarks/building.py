@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -52,8 +53,9 @@ def main(arguments: Sequence[str]) -> int:
 def build(settings: Mapping[str, object], out: Path) -> tuple[float, float, int]:
     """Seconds, MB and number of views of one build into a folder; reads ``views``, ``workers`` and ``compute``."""
     kidney = make_phantom_kidney(seed=2300)
-    each = max(1, round((int(str(settings["views"])) - _PASSAGE) / len(kidney.calyces)))
-    plan = PlanSettings(views_per_calyx=each, passage_views=_PASSAGE)
+    plan = PlanSettings(passage_views=_PASSAGE)
+    others = round(_PASSAGE * (1 + plan.around))
+    plan = replace(plan, views_per_calyx=max(1, round((int(str(settings["views"])) - others) / len(kidney.calyces))))
     where = str(settings["compute"])
     compute: Compute = LocalCompute(int(str(settings["workers"]))) if where == "local" else DaskCompute(where)
     start = time.perf_counter()

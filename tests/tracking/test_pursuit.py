@@ -126,6 +126,24 @@ def test_a_settled_track_that_is_aligned_worse_than_of_late_has_to_be_looked_at(
     assert pursuit.go_on(None, flat) is None, "badly aligned all the time"  # type: ignore[arg-type]
 
 
+def test_what_was_aligned_in_vain_is_not_aligned_again() -> None:
+    """The look that follows tries the other starts alone, goes on from the better, and slides as often as ever."""
+    scores = Scores(0.8)
+    pursuit = followed(scores)
+    near = ahead_by(HERE, -1.5)
+    pursuit.follow(picture(HERE, near), anew=False)
+    scores.here = 0.6
+    assert pursuit.go_on(None, flat) is None  # type: ignore[arg-type]
+    in_vain = scores.asked[-1]
+    scores.asked.clear()
+    found = pursuit.follow(picture(HERE, near), anew=False)
+    again = [T for asked in scores.asked[:1] for T in asked]
+    assert len(in_vain) == 3 and at(found, HERE) and found.score == 0.6
+    assert all(np.linalg.norm(T[:3, 3] - tried[:3, 3]) > 0.5 for T in again for tried in in_vain)
+    pursuit.follow(picture(HERE, near), anew=False)
+    assert len(scores.asked[-1]) >= 3, "in the next picture all starts are tried"
+
+
 def test_a_track_that_the_filter_does_not_bear_out_is_not_settled() -> None:
     pursuit = followed(Scores(0.8))
     pursuit.follow(picture(HERE, FAR), anew=False)

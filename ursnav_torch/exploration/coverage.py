@@ -138,7 +138,11 @@ class Coverage:
                 self.in_reach[self.in_view(T)] = True
 
     def add(
-        self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = (), position_sd_mm: float = 0.0
+        self,
+        T_kidney_camera: Array,
+        seconds: float,
+        bodies: Sequence[ForegroundBody] = (),
+        position_sd_mm: float | None = None,
     ) -> None:
         """Count a picture from a pose (4, 4) that stood for some seconds, but for the wall behind what lies before it.
 
@@ -147,8 +151,9 @@ class Coverage:
             seconds: how long it stood.
             bodies: stones and instruments in the picture.
             position_sd_mm: how far off the place may be, two of three times; wall counts that is in view all the same.
+                None where the place is known exactly.
         """
-        seen = self.surely_in_view(T_kidney_camera, position_sd_mm)
+        seen = self.surely_in_view(T_kidney_camera, position_sd_mm or 0.0)
         if bodies and len(seen):
             before = np.logical_or.reduce([body.mask for body in bodies])
             seen = seen[~self._covered(T_kidney_camera, seen, before)]

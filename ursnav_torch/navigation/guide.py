@@ -49,7 +49,11 @@ class Guide:
         self._at = vid.kidney.pelvis_mm
 
     def paint(
-        self, T_kidney_camera: Array, seconds: float, bodies: Sequence[ForegroundBody] = (), position_sd_mm: float = 0.0
+        self,
+        T_kidney_camera: Array,
+        seconds: float,
+        bodies: Sequence[ForegroundBody] = (),
+        position_sd_mm: float | None = None,
     ) -> None:
         """Count a picture, see `Coverage.add`."""
         self.coverage.add(T_kidney_camera, seconds, bodies, position_sd_mm)

@@ -321,8 +321,8 @@ class Navigator:
         """Count what a picture shows of the wall and of stones; find the way on where it was not found just now."""
         begun, t_s = time.monotonic(), frame.stamp.t_mono_s
         if tracked.T_kidney_camera is not None and tracked.is_settled and self._counted_s is not None:
-            sd = tracked.certainty.position_sd_mm if tracked.certainty is not None else 0.0
-            self.guide.paint(tracked.T_kidney_camera, t_s - self._counted_s, tracked.bodies, sd)
+            passed_s = t_s - self._counted_s
+            self.guide.paint(tracked.T_kidney_camera, passed_s, tracked.bodies, tracked.position_sd_mm)
         self._see_stones(tracked, frame)
         self._seen_from, self._counted_s = _believed(tracked), t_s
         if not 0 <= t_s - self._shown_s < GUIDE_S:  # a replay may go back
@@ -362,7 +362,7 @@ def _shown(features: Features | None, tracked: Tracked) -> dict[str, Any]:
     return {
         "edges": features.edges if features is not None and len(features.edges) else None,
         "bodies": features.bodies if features is not None else (),
-        "position_sd_mm": tracked.certainty.position_sd_mm if tracked.certainty is not None else None,
+        "position_sd_mm": tracked.position_sd_mm,
         "places": tracked.places if tracked.places is not None else np.zeros((0, 4)),
     }
 

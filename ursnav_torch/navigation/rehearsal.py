@@ -188,7 +188,7 @@ class Rehearsal:
             if sighting.T_kidney_camera is not None:
                 self._newest = (taken_s, sighting)
                 if sighting.settled:
-                    stood_s, sd = taken_s - self._painted_s, sighting.position_sd_mm or 0.0
+                    sd, stood_s = sighting.position_sd_mm, taken_s - self._painted_s
                     self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, position_sd_mm=sd)
             self._painted_s = taken_s
 

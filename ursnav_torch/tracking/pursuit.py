@@ -92,6 +92,7 @@ class Pursuit:
         self._evidence, self._deeper = 0.0, 1.0
         self._held: Array | None = None  # pose before the track slipped
         self._usual, self._slipped = 0.0, 0  # score of late; pictures of the slip so far
+        self._missed: tuple[list[Array], Refined] | None = None  # starts of the same picture that were not enough
         self._borne_out = False  # whether the filter, when it last looked, found the track's place the most probable
         self._rng = np.random.default_rng(0)  # the same pictures give the same answers
 
@@ -119,8 +120,10 @@ class Pursuit:
         s, own = self._settings, self._incumbent
         if own is None or not self.settled:
             return None
-        found = self._aligned(features, self._on(own, carried)[: self.starts], prior)
+        starts = self._on(own, carried)[: self.starts]
+        found = self._aligned(features, starts, prior)
         if found.score < max(self._usual - s.usual_drop, s.enough_above):
+            self._missed = starts, found
             return None
         self._incumbent = _Lead(found, own.refined)
         self._learn(found)
@@ -142,11 +145,8 @@ class Pursuit:
             self._challenger, self._evidence, self._slipped, self._borne_out = None, 0.0, 0, False
             self._usual = self._incumbent.refined.score
         else:
-            agrees = self._near(T, self._incumbent.refined.T_kidney_camera)
-            around = self._around(self._incumbent, T, picture)[: self.starts]
-            before = self._incumbent.refined
-            own = self._aligned(features, around, picture.prior)
-            self._incumbent = self._caught(picture, _Lead(own, before))
+            agrees, before = self._near(T, self._incumbent.refined.T_kidney_camera), self._incumbent.refined
+            self._incumbent = self._caught(picture, _Lead(self._taken_on(picture, self._incumbent, T), before))
             here = self._incumbent.refined
             elsewhere: list[Array] = []
             self._borne_out = agrees or self._near(T, here.T_kidney_camera)
@@ -156,7 +156,19 @@ class Pursuit:
                 elsewhere = self._apart([here.T_kidney_camera], picture.found, picture.fits, 2)[1:]
             self._incumbent = self._better(picture, self._incumbent, elsewhere)
         self._learn(self._incumbent.refined)
+        self._missed = None
         return self._incumbent.refined
+
+    def _taken_on(self, picture: Weighed, own: _Lead, T: Array) -> Refined:
+        """The track aligned from where it may go on; what `go_on` has aligned of the same picture is not done again."""
+        starts, found = self._missed or (self._on(own, picture.carried), None)
+        around = self._around(starts, T, picture)[: self.starts]
+        if found is None:
+            return self._aligned(picture.features, around, picture.prior)
+        if len(around) == len(starts):
+            return found
+        other = self._aligned(picture.features, around[len(starts) :], picture.prior)
+        return other if other.score > found.score else found
 
     def _learn(self, refined: Refined) -> None:
         """Take in how the track is aligned."""
@@ -233,10 +245,10 @@ class Pursuit:
         slid[:3, 3] += self._deeper * self._settings.depth_step_mm * slid[:3, 2]
         return [ahead[0], slid, *ahead[1:]]
 
-    def _around(self, own: _Lead, T: Array, picture: Weighed) -> list[Array]:
-        """Where the track may go on, and places among the hypotheses nearby."""
+    def _around(self, starts: list[Array], T: Array, picture: Weighed) -> list[Array]:
+        """Some starts, and places among the hypotheses near the first of them."""
         s, near_mm, found = self._settings, self._same.same_place_mm, picture.found
-        tried = self._on(own, picture.carried)
+        tried = list(starts)
         order = np.argsort(-found.weight)[: self._same.best_fitting]
         for pose in [T, *found.T_kidney_camera[order]]:
             apart = [np.linalg.norm(pose[:3, 3] - t[:3, 3]) for t in tried]

@@ -62,12 +62,13 @@ class Tracked:
         T_kidney_camera: (4, 4) while tracking, or while searching about it; else None.
         calyx: index of the calyx observed, -1 for none.
         confidence: probability of that calyx among the hypotheses.
-        fit: of the best hypothesis to the picture, nan where that showed nothing.
+        fit: of the best hypothesis to the last picture that was weighed against all views, nan where a picture showed
+            nothing.
         score: how well the refined pose is aligned, 1 is perfect; nan likewise.
         seconds: from picture to answer.
         T_aligned: (4, 4) the pose as it was aligned, believed or not, before any smoothing; None where the picture
             showed nothing.
-        evidence: what the picture said on whether this is the kidney; None likewise.
+        evidence: what the picture said on whether this is the kidney; None where it was not weighed against all views.
         certainty: the calyces that it may be, and how far off the pose may be; None without a pose.
         places: (K, 4) x, y, z in the kidney frame and probability of the likeliest hypotheses, to be looked at.
         bodies: stones and instruments before the wall in the picture.
@@ -85,6 +86,11 @@ class Tracked:
     certainty: TrackCertainty | None = None
     places: Array | None = None
     bodies: tuple[ForegroundBody, ...] = ()
+
+    @property
+    def position_sd_mm(self) -> float | None:
+        """How far off the position may be, two of three times; None without a pose."""
+        return None if self.certainty is None else self.certainty.position_sd_mm
 
     @property
     def is_settled(self) -> bool:
