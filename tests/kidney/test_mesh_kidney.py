@@ -148,3 +148,34 @@ def test_given_damaged_meshes_end_in_sentences(cases: Path) -> None:
             check_lumen(read_mesh(path), path.name, 1.0)
         except InputError:
             continue
+
+
+def test_a_binary_stl_may_call_itself_solid(files: Path, tmp_path: Path) -> None:
+    data = (files / "lumen.stl").read_bytes()
+    (tmp_path / "a.stl").write_bytes(b"solid of facet".ljust(80) + data[80:])
+    assert len(read_mesh(tmp_path / "a.stl").faces) == len(read_mesh(files / "lumen.stl").faces)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("a.stl", "<html>404</html>", "is a page of the web, and no STL"),
+        ("a.ply", "version https://git-lfs.github.com/spec/v1\noid", "is a pointer of Git LFS"),
+        ("a.stl", "v 0.0 1.0 2.0\n" * 20, "is text without the word solid, and no STL"),
+        ("a.obj", "solid\0\0", "is no text, and no OBJ"),
+        ("a.obj", "v 1,5 2,5 3,5\nv 1,5 2,5 3,5\n", "has decimal commas"),
+        ("a.ply", "ply\nend_header\n1,5 2,5 3,5\n", "has decimal commas"),
+    ],
+)
+def test_files_of_another_kind_than_their_name_says_are_told(tmp_path: Path, name: str, text: str, reason: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=rf"{name} {reason}"):
+        read_mesh(tmp_path / name)
+
+
+def test_a_corner_that_is_no_place_is_named() -> None:
+    mesh = trimesh.creation.box((40, 30, 20))
+    vertices = mesh.vertices.copy()
+    vertices[2] = np.nan
+    with pytest.raises(InputError, match=r"x has 1 corners that are no place, corner 3 at \[nan, nan, nan\]"):
+        check_lumen(trimesh.Trimesh(vertices, mesh.faces, process=False), "x", 1.0)

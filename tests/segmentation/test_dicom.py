@@ -1,5 +1,6 @@
 """DICOM as archives give it: compressed, enhanced, with reports beside the slices, and truly truncated."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,9 @@ def changed(folder: Path, scan: Scan, change: Callable[[Any, int], object]) -> P
         ("ImageOrientationPatient", lambda n: [2, 0, 0, 0, 2, 0], "not at right angles and of length 1"),
         ("ImageOrientationPatient", lambda n: [1, 0, 0, 0.5, 0.866, 0], "not at right angles and of length 1"),
         ("PhotometricInterpretation", lambda n: "MONOCHROME1", "shows high numbers dark"),
+        ("ImageOrientationPatient", lambda n: None, r"how its slice lies \(ImageOrientationPatient is None\)"),
+        ("PixelSpacing", lambda n: [0, 0.7], r"pixels of \[0\.0, 0\.7\] mm \(PixelSpacing\)"),
+        ("RescaleSlope", lambda n: 0, r"scales its numbers by 0 \(RescaleSlope\)"),
     ],
 )
 def test_slices_that_are_not_of_one_scan_are_refused(
@@ -143,8 +147,19 @@ def test_what_a_series_leaves_open_is_said(scan: Scan, tmp_path: Path) -> None:
     for name, change, reason in (
         ("mr", lambda data, n: setattr(data, "Modality", "MR"), "is MR, not CT"),
         ("raw", lambda data, n: data.pop("RescaleIntercept"), r"Hounsfield units \(RescaleIntercept\)"),
+        ("counts", lambda data, n: setattr(data, "RescaleType", "OD"), r"calls its numbers 'OD' \(RescaleType\)"),
         ("thin", lambda data, n: setattr(data, "SliceThickness", 0.6), "0.6 mm thick and 1.5 mm apart"),
         ("cm", lambda data, n: setattr(data, "SliceThickness", 15), "15 mm thick and 1.5 mm apart"),
     ):
         with pytest.warns(UserWarning, match=reason):
             read_scan(changed(tmp_path / name, scan, change))
+
+
+def test_copies_of_slices_are_told_from_phases(scan: Scan, tmp_path: Path) -> None:
+    write_dicom(scan, tmp_path)
+    shutil.copy(tmp_path / "slice_0005.dcm", tmp_path / "slice_0005 (1).dcm")
+    with pytest.raises(InputError, match=r"has 1 slices twice, copies .*slice_0005.* and slice_0005.*Delete one"):
+        read_scan(tmp_path)
+    (tmp_path / "DICOMDIR").write_bytes(bytes(128) + b"DICM")
+    with pytest.raises(InputError, match="is the list of a disc's files; give the folder"):
+        read_scan(tmp_path / "DICOMDIR")

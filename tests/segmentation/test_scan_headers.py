@@ -1,8 +1,10 @@
 """Geometry is never invented: what a header does not say is refused by name, or given by name."""
 
+import contextlib
 import gzip
 import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.segmentation import Scan, ScanHeader, read_scan, write_scan
+from ursnav_torch.segmentation.scans.read import read_scan_here
 
 pytest.importorskip("SimpleITK", reason="the extra ct is not installed")
 
@@ -245,3 +248,112 @@ def test_metaimages_name_of_an_orientation_alone_is_not_believed(scan: Scan, tmp
     same = meta(tmp_path / "s.mha", scan, MATRIX.replace("1 0 0 0 1", "-1 0 0 0 1"), PLACE, spacing,
                 "AnatomicalOrientation = LAI")  # fmt: skip
     assert read_scan(same).T_lps_voxel[0, 0] == pytest.approx(-0.7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({CODES: ("2h", (1, 0)), 256: ("3f", (float("nan"), 0, 0))}, r"its qform .* is \[nan, 0\.0, 0\.0,.*nowhere"),
+        ({CODES: ("2h", (1, 0)), 256: ("3f", (1, 1, 1))}, r"its qform .* places it nowhere"),
+        ({CODES: ("2h", (1, 0)), 268: ("3f", (float("nan"), 0, 0))}, r"its qform .* places it nowhere"),
+        ({CODES: ("2h", (0, 1)), SROW: ("12f", (0,) * 12)}, r"its sform .* places it nowhere"),
+        (
+            {CODES: ("2h", (1, 1)), SROW: ("12f", (-0.7, 0, 0, 9, 0, -0.8, 0.1, -5, 0, 0, 1.5, 9))},
+            "not at right angles",
+        ),
+        ({108: ("f", (0.0,))}, r"begin at byte 0 \(vox_offset\), within its own header of 352 bytes"),
+        ({SLOPE: ("2f", (1, float("nan")))}, "scl_slope 1 and scl_inter nan, which cannot be"),
+        ({SLOPE: ("2f", (float("inf"), 0))}, "scl_slope inf and scl_inter 0, which cannot be"),
+        ({PIXDIM + 4: ("3f", (-0.7, 0.8, 1.5))}, r"lacks the spacing \(pixdim is \[-0\.7, 0\.8, 1\.5\]\)"),
+    ],
+)
+def test_a_nifti_of_numbers_that_cannot_be_is_not_placed_by_its_readers_guess(
+    scan: Scan, tmp_path: Path, changes: dict[int, tuple[str, tuple[float, ...]]], reason: str
+) -> None:
+    with pytest.raises(InputError, match=reason):
+        read_scan_here(nifti(tmp_path / "a.nii", scan, changes))
+
+
+def test_an_intercept_beside_slope_0_is_not_added_and_said(scan: Scan, tmp_path: Path) -> None:
+    path = nifti(tmp_path / "a.nii", scan, {SLOPE: ("2f", (0, -1024))})
+    with pytest.warns(UserWarning, match="scl_slope 0, .* scl_inter -1024, which is not added"):
+        np.testing.assert_array_equal(read_scan_here(path).voxels, scan.voxels)
+    nan = nifti(tmp_path / "b.nii", scan, {SLOPE: ("2f", (float("nan"), float("nan")))})
+    np.testing.assert_array_equal(read_scan_here(nan).voxels, scan.voxels)
+
+
+def test_a_packed_file_that_is_damaged_is_not_called_truncated(scan: Scan, tmp_path: Path) -> None:
+    write_scan(scan, tmp_path / "a.nii")
+    packed = bytearray(gzip.compress((tmp_path / "a.nii").read_bytes()))
+    packed[-8] ^= 1
+    (tmp_path / "b.nii.gz").write_bytes(packed)
+    with pytest.raises(InputError, match=r"b\.nii\.gz cannot be unpacked \(CRC check failed.*it is damaged"):
+        read_scan_here(tmp_path / "b.nii.gz")
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        (("space: RPS", DIRECTIONS, ORIGIN), "states its space as 'RPS', which NRRD has not"),
+        (("space: LPS", "spacings: 0.7 0.8 1.5"), "a space and spacings, and no space directions"),
+        (("space: LPS", DIRECTIONS.replace("1.5", "0"), ORIGIN), r"lacks the spacing \(space directions is"),
+        (("space: LPS", DIRECTIONS.replace("1.5", "nan"), ORIGIN), r"lacks the spacing \(space directions is"),
+    ],
+)
+def test_an_nrrd_that_places_nothing_is_refused(
+    scan: Scan, tmp_path: Path, fields: tuple[str, ...], reason: str
+) -> None:
+    with pytest.raises(InputError, match=reason):
+        read_scan_here(nrrd(tmp_path / "a.nrrd", scan, *fields))
+
+
+def test_a_place_that_is_no_number_is_no_place(scan: Scan, tmp_path: Path) -> None:
+    for path in (
+        nrrd(tmp_path / "a.nrrd", scan, *HEAD[:2], "space origin: (nan,nan,nan)"),
+        meta(tmp_path / "a.mha", scan, MATRIX, "Offset = nan nan nan", "ElementSpacing = 0.7 0.8 1.5"),
+    ):
+        with (
+            pytest.warns(UserWarning, match="does not say where in the patient it lies"),
+            contextlib.suppress(InputError),
+        ):
+            read_scan_here(path)
+
+
+def test_numbers_that_16_bits_do_not_hold_are_said(tmp_path: Path) -> None:
+    voxels = np.linspace(0, 70_000, 960).reshape(12, 10, 8)
+    write_scan(Scan(voxels.astype(np.int32), np.diag([0.7, 0.8, 1.5, 1]), ""), tmp_path / "a.nrrd")
+    with pytest.warns(UserWarning, match="numbers from 0 to 70000; CT numbers and labels lie within -32768 and 32767"):
+        assert read_scan_here(tmp_path / "a.nrrd").voxels.max() == 32767
+
+
+LAID = (MATRIX, PLACE, "ElementSpacing = 0.7 0.8 1.5")
+
+
+@pytest.mark.parametrize("harm", ["cut", "changed", "no length", "gone", "short"])
+def test_packed_and_separate_data_of_a_metaimage_are_whole(scan: Scan, tmp_path: Path, harm: str) -> None:
+    """Its reader gives what lies in memory where they are not, and says so to nobody."""
+    data = bytearray(zlib.compress(scan.voxels.transpose(2, 1, 0).tobytes()))
+    length = (f"CompressedDataSize = {len(data)}",) * (harm != "no length")
+    head = "\n".join(
+        ["NDims = 3", "DimSize = 12 10 8", "ElementType = MET_UCHAR", *LAID, "CompressedData = True", *length]
+    )
+    path, local = tmp_path / "a.mha", "ElementDataFile = LOCAL"
+    path.write_bytes(f"{head}\n{local}\n".encode() + data)
+    if harm != "no length":
+        np.testing.assert_array_equal(read_scan_here(path).voxels, scan.voxels)
+    data[60] ^= 255 * (harm == "changed")
+    data = data[: -50 if harm in ("cut", "short") else None]
+    (tmp_path / "b.zraw").write_bytes(data) if harm == "short" else None
+    separate = harm in ("gone", "short")
+    path.write_bytes(f"{head}\n{'ElementDataFile = b.zraw' if separate else local}\n".encode() + data * (not separate))
+    reasons = {
+        "cut": "truncated", "changed": "cannot be unpacked .*it is damaged", "no length": r"\(CompressedDataSize\)",
+        "gone": r"names its data b\.zraw, and there is no such file", "short": r"b\.zraw ends before its data do",
+    }  # fmt: skip
+    with pytest.raises(InputError, match=reasons[harm]):
+        read_scan_here(path)
+
+
+def test_a_sequence_of_plus_is_no_scan(scan: Scan, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a sequence that Plus recorded"):
+        read_scan_here(meta(tmp_path / "a.mha", scan, *LAID, "Seq_Frame0000_Timestamp = 1.0"))

@@ -43,10 +43,7 @@ def foreign_lens(path: Path, name: str | None, model: str | None) -> Camera:
         return _ocam(text, path) if _is_ocam(text) else _colmap(text, path, name)
     if path.suffix.lower() == ".xml" or "opencv-matrix" in text or text.startswith("%YAML:1.0"):
         return _opencv(text, path, model)
-    try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(f"The camera file {path} is not readable YAML: {str(error).splitlines()[0]}.") from None
+    data = _one_document(text, path)
     if not isinstance(data, Mapping):
         raise InputError(f"The camera file {path} holds no camera; expected ROS camera_info, Kalibr or OpenCV YAML.")
     if "camera_matrix" in data:
@@ -59,6 +56,18 @@ def foreign_lens(path: Path, name: str | None, model: str | None) -> Camera:
     return _kalibr(data, path, name)
 
 
+def _one_document(text: str, path: Path) -> Any:
+    """What a YAML text holds, and ``ros2 topic echo`` ends with ``---``, again and again perhaps."""
+    try:
+        found = [data for data in yaml.safe_load_all(text) if data is not None]
+    except (yaml.YAMLError, RecursionError) as error:
+        raise InputError(f"The camera file {path} is not readable YAML: {str(error).splitlines()[0]}.") from None
+    lenses = [{k: v for k, v in data.items() if k != "header"} if isinstance(data, dict) else data for data in found]
+    if any(lens != lenses[0] for lens in lenses):
+        raise InputError(f"The camera file {path} holds {len(found)} documents that differ; leave the scope's alone.")
+    return found[0] if found else None
+
+
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size > _MOST_BYTES:
@@ -69,7 +78,7 @@ def _text(path: Path) -> str:
     except FileNotFoundError:
         raise InputError(f"There is no camera file {path}.") from None
     except (OSError, UnicodeDecodeError):
-        raise InputError(f"The camera file {path} is not readable as text.") from None
+        raise InputError(f"The camera file {path} is no text in UTF-8; save it as such.") from None
 
 
 def _numbers(value: Any, what: str, path: Path, count: int | None = None) -> list[float]:
@@ -78,7 +87,8 @@ def _numbers(value: Any, what: str, path: Path, count: int | None = None) -> lis
     except (TypeError, ValueError):
         found = [math.nan]
     if (count is not None and len(found) != count) or not all(map(math.isfinite, found)):
-        raise InputError(f"The camera file {path}: {what} is {value!r}; expected {count or 'some'} numbers.")
+        said = value.tolist() if isinstance(value, np.ndarray) else value
+        raise InputError(f"The camera file {path}: {what} is {said!r}; expected {count or 'some'} numbers.")
     return found
 
 
@@ -110,6 +120,13 @@ def _intrinsics(K: list[float], path: Path) -> tuple[float, float, float, float]
 def _lens(model: str, size: tuple[int, int], f: tuple[float, ...], k: list[float], path: Path) -> Camera:
     """A lens of a model by its name in these files; ``f`` is fx, fy, cx, cy."""
     fx, fy, cx, cy = f
+    if min(fx, fy) <= 0:
+        raise InputError(f"The camera file {path} has the focal lengths {fx:g} and {fy:g} px: it was not calibrated.")
+    if model in ("none", "") and any(k):
+        raise InputError(
+            f"The camera file {path} has the distortion coefficients {k} and names no model for them "
+            "(plumb_bob, radtan, rational_polynomial, equidistant, ...): name it there."
+        )
     if model in ("plumb_bob", "rational_polynomial", "radtan", "rational", "pinhole", "none", ""):
         if len(k) > 8 and any(k[8:]):
             raise InputError(
@@ -144,6 +161,8 @@ def _ros(data: Mapping[str, Any], path: Path) -> Camera:
     """camera_info as ROS's camera_calibration writes it."""
     size = _size(data.get("image_width"), data.get("image_height"), path)
     f = _intrinsics(_numbers(_entry(data["camera_matrix"]), "camera_matrix", path, 9), path)
+    if "distortion_coefficients" not in data:
+        _say_no_distortion(path, 4)
     k = _numbers(_entry(data.get("distortion_coefficients", [])), "distortion_coefficients", path)
     roi = data.get("roi") or {}
     part = [roi.get(c) or full for c, full in zip(("width", "height"), size, strict=True)] != list(size)
@@ -153,13 +172,15 @@ def _ros(data: Mapping[str, Any], path: Path) -> Camera:
         or any((data.get(c) or 0) > 1 for c in ("binning_x", "binning_y"))
     ):
         raise InputError(
-            f"The camera file {path} has a roi or binning: give the whole sensor's calibration, and the cut by "
-            "camera.crop=[x,y,w,h] and camera.resize=[w,h]."
+            f"The camera file {path} has a roi ({dict(roi)}) or binning ({data.get('binning_x', 0)} x "
+            f"{data.get('binning_y', 0)}): take both out of it, and say the cut by camera.crop=[x,y,w,h] and "
+            "camera.resize=[w,h]."
         )
-    model = data.get("distortion_model")
-    if model is None and any(k):
-        raise InputError(f"The camera file {path} does not say its distortion_model (plumb_bob, equidistant, ...).")
-    return _lens(str(model or "none"), size, f, k, path)
+    return _lens(str(data.get("distortion_model") or "none"), size, f, k, path)
+
+
+def _say_no_distortion(path: Path, stacklevel: int) -> None:
+    warnings.warn(f"{path} says nothing of distortion: it is taken for a lens without any.", stacklevel=stacklevel + 1)
 
 
 def _entry(value: Any) -> Any:
@@ -172,7 +193,7 @@ def _kalibr(data: Mapping[str, Any], path: Path, name: str | None) -> Camera:
     if not cameras and "intrinsics" in data:
         cameras = {"cam0": data}
     camera = _chosen(cameras, path, name)
-    model, distortion = str(camera.get("camera_model", "pinhole")), str(camera.get("distortion_model", "none"))
+    model, distortion = str(camera.get("camera_model", "pinhole")), str(camera.get("distortion_model") or "none")
     resolution = _numbers(camera.get("resolution"), "resolution", path, 2)
     size, k = (
         _size(resolution[0], resolution[1], path),
@@ -234,7 +255,7 @@ def _opencv(text: str, path: Path, model: str | None) -> Camera:
         raise InputError(f"{path} holds the two cameras M1 and M2; write the scope's alone to a file of its own.")
     size = _size(nodes["image_width"].real(), nodes["image_height"].real(), path)
     if not any(key in nodes for key in _DISTORTION):
-        warnings.warn(f"{path} says nothing of distortion: it is taken for a lens without any.", stacklevel=5)
+        _say_no_distortion(path, 5)
     values = next((nodes[key].mat() for key in _DISTORTION if key in nodes), None)
     k = [] if values is None else _numbers(values, "distortion_coefficients", path)
     fisheye = "fisheye_model" in nodes and nodes["fisheye_model"].real() == 1

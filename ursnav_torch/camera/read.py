@@ -15,8 +15,12 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.files import is_file
 from ursnav_torch.records import read_json, to_record
 
+#: Calibrations of MATLAB, numpy and COLMAP that are no text.
+_OTHERS_FILES = (".mat", ".npz", ".npy", ".bin", ".pkl", ".h5")
 #: No lens has a number beyond this, px or radians; larger ones overflow what is computed from them.
 _LARGEST = 1_000_000_000
+#: Where OpenCV's word for a matrix stands, if it does, bytes.
+_MOST_BYTES = 100_000
 #: What others call the distortion, or what no model here has: passing it over would draw another lens.
 _OTHERS_WORDS = ("distortion", "distortion_coefficients", "distortion_coeffs", "dist_coeffs", "dist_coeff", "dist", "D",
                  "d", "skew", "p1", "p2", "k1", "k2", "k3", "xi", "alpha")  # fmt: skip
@@ -26,7 +30,7 @@ def load_camera(
     path: str | Path,
     crop: Sequence[int] | None = None,
     resize: Sequence[int] | None = None,
-    name: str | None = None,
+    name: str | int | None = None,
     model: str | None = None,
     fov_deg: float | None = None,
 ) -> Camera:
@@ -45,9 +49,14 @@ def load_camera(
         InputError: missing, damaged, of no kind that is known, or no lens that can be (see `check_sense`).
     """
     path = Path(path)
-    if path.suffix.lower() in (".yaml", ".yml", ".xml", ".txt"):
-        lens = foreign_lens(path, name, model)
+    if path.suffix.lower() in (".yaml", ".yml", ".xml", ".txt") or _is_opencv(path):
+        lens = foreign_lens(path, None if name is None else str(name), model)
     else:
+        if path.suffix.lower() in _OTHERS_FILES:
+            raise InputError(
+                f"The camera file {path} is of a kind that is not read; write the lens as camera JSON, as YAML (ROS, "
+                "Kalibr, OpenCV), XML (OpenCV) or text (COLMAP's cameras.txt, OCamCalib's calib_results.txt)."
+            )
         data = read_json(path, "camera")
         lens = camera_from_dict(_with_mask(data, path), str(path))
     if fov_deg is not None:
@@ -81,6 +90,11 @@ def camera_from_dict(data: Mapping[str, Any], where: str) -> Camera:
     if known.get("model") == "pinhole" and not known.get("k"):
         known.pop("k", None)
     return to_record(known, Camera, f"The camera in {where}")
+
+
+def _is_opencv(path: Path) -> bool:
+    """Whether a JSON file is one that OpenCV's FileStorage wrote."""
+    return path.suffix.lower() == ".json" and is_file(path) and b'"opencv-matrix"' in path.read_bytes()[:_MOST_BYTES]
 
 
 def _with_mask(data: Any, path: Path) -> Any:

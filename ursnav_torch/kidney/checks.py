@@ -90,7 +90,12 @@ def _check_size(mesh: trimesh.Trimesh, name: str, scale: float, advice: Mapping[
 
 
 def _check_usable(mesh: trimesh.Trimesh, name: str) -> None:
-    if len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
+    if len(wrong := np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))):
+        raise InputError(
+            f"{name} has {len(wrong)} corners that are no place, corner {wrong[0] + 1} at "
+            f"{mesh.vertices[wrong[0]].tolist()} the first; export it again."
+        )
+    if len(mesh.faces) == 0:
         raise InputError(f"{name} has no usable triangles; export the lumen as a triangle mesh (STL, PLY, OBJ or GLB).")
 
 

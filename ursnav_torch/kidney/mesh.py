@@ -18,7 +18,10 @@ from ursnav_torch.kidney.tables import read_calyces
 _FORMATS = (".stl", ".ply", ".obj", ".glb")
 #: Bytes of a binary STL file before its triangles, and of each of them.
 _STL_HEAD, _STL_TRIANGLE = 84, 50
-_DECIMAL_COMMA = re.compile(rb"vertex\s+[+-]?\d+,\d")
+#: A corner with decimal commas in an ASCII STL, an OBJ or an ASCII PLY.
+_DECIMAL_COMMA = re.compile(rb"(^|\n)\s*(vertex\s+|v\s+|)[+-]?\d+,\d+\s+[+-]?\d+,\d+\s")
+#: How files begin that are none, whatever their name: a page of the web, a pointer of Git LFS.
+_NO_FILES = {b"<": "a page of the web", b"version https://git-lfs": "a pointer of Git LFS and not the file itself"}
 
 
 def load_mesh_kidney(
@@ -100,6 +103,7 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
 
 
 def _load(path: Path) -> trimesh.Trimesh:
+    _check_kind(path)
     data = path.read_bytes() if path.suffix.lower() == ".stl" else b""
     if len(data) >= _STL_HEAD:
         length = _STL_HEAD + _STL_TRIANGLE * int.from_bytes(data[80:84], "little")
@@ -116,18 +120,36 @@ def _load(path: Path) -> trimesh.Trimesh:
     return trimesh.load_scene(path, process=False).to_mesh()
 
 
+def _check_kind(path: Path) -> None:
+    """Refuse what its first bytes say is another kind of file, and decimal commas.
+
+    Raises:
+        InputError: it is, or has them.
+    """
+    with path.open("rb") as file:
+        head, kind = file.read(8192), path.suffix[1:].upper()
+    other = next((what for start, what in _NO_FILES.items() if head.lstrip().startswith(start)), None)
+    if other is None and kind == "OBJ" and b"\0" in head:
+        other = "no text"
+    if other is None and kind == "STL" and len(head) > 80 and b"\0" not in head and not _is_text(head):
+        other = "text without the word solid"
+    if other is not None:
+        raise InputError(f"{path} is {other}, and no {kind}; export or copy the mesh again.")
+    if b"\0" not in head and _DECIMAL_COMMA.search(head):
+        raise InputError(f"{path} has decimal commas; export it with decimal points, or as binary STL.")
+
+
 def _check_text(data: bytes, path: Path) -> None:
-    """Refuse an ASCII STL that ends early or has decimal commas, of which the reader would say neither.
+    """Refuse an ASCII STL that ends early, of which the reader would say nothing.
 
     Raises:
         InputError: it does.
     """
     if b"endsolid" not in data[-4096:].lower():
         raise InputError(f"{path} is cut short: the word endsolid is missing at its end. Copy or export it again.")
-    if _DECIMAL_COMMA.search(data[:4096]):
-        raise InputError(f"{path} has decimal commas; export it with decimal points, or as binary STL.")
 
 
 def _is_text(data: bytes) -> bool:
-    """Whether an STL file is ASCII: it begins with ``solid`` and goes on with facets."""
-    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower()
+    """Whether an STL file is ASCII: it begins with ``solid`` and goes on with facets, and is no binary one's length."""
+    counted = _STL_HEAD + _STL_TRIANGLE * int.from_bytes(data[80:84], "little")
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower() and len(data) != counted

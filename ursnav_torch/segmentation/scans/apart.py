@@ -210,5 +210,5 @@ def _scan(request: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _odd(path: str, error: Exception) -> str:
-    why = "it takes more memory than is given" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
+    why = "it takes more memory than is given" if isinstance(error, MemoryError) else f"its reader stumbled: {error}"
     return f"{path} cannot be read as a scan ({why[:200]}). Export or copy it again."

@@ -70,6 +70,8 @@ class Said:
         read_mm: the factor that its reader applies on its own.
         notes: what is odd about it, for people to read.
         rivals: what it says twice of its spacing, and differently; None: once, or the same.
+        found: what stands where the spacing should, for people to read; "": nothing.
+        added: what its reader adds to the stored numbers, and should not.
     """
 
     spacing: bool
@@ -78,6 +80,8 @@ class Said:
     read_mm: float = 1.0
     notes: tuple[str, ...] = ()
     rivals: str | None = None
+    found: str = ""
+    added: float = 0.0
 
 
 def check_said(said: Said, given: ScanHeader, name: str) -> None:
@@ -88,8 +92,9 @@ def check_said(said: Said, given: ScanHeader, name: str) -> None:
     """
     if not said.spacing and given.spacing_mm is None:
         raise InputError(
-            f"{name} does not say how far its voxels lie apart: its header lacks the spacing. Export it again with it, "
-            "or give it in mm: kidney.header.spacing_mm=[x,y,z]."
+            f"{name} does not say how far its voxels lie apart: its header lacks the spacing"
+            f"{said.found and f' ({said.found})'}. Export it again with it, or give it in mm: "
+            "kidney.header.spacing_mm=[x,y,z]."
         )
     if said.rivals is not None and given.spacing_mm is None:
         raise InputError(

@@ -13,8 +13,9 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.extras import import_extra
 from ursnav_torch.segmentation.scans.dicom import is_dicom, series_files
 from ursnav_torch.segmentation.scans.headers import Said, ScanHeader, check_said, voxel_geometry
+from ursnav_torch.segmentation.scans.meta_data import check_meta_data
 from ursnav_torch.segmentation.scans.multiframe import is_multiframe, read_multiframe
-from ursnav_torch.segmentation.scans.nifti import check_nifti_length, nifti_said
+from ursnav_torch.segmentation.scans.nifti import check_nifti_length, check_nifti_packing, nifti_said
 from ursnav_torch.segmentation.scans.scan import Scan, transform_of_voxels
 from ursnav_torch.segmentation.scans.text_headers import meta_said, nrrd_said
 
@@ -55,15 +56,16 @@ def read_scan_here(
     if path.name.lower().endswith(_FORMATS):
         _check_name(path)
         said = _said(path)
-        _check_file(sitk, path, largest_voxels)
-        if path.name.lower().endswith((".nii", ".nii.gz")):
-            check_nifti_length(path)
         check_said(said, header, str(path))
+        _check_file(sitk, path, largest_voxels)
+        _check_data(path)
         for note in said.notes:
             warnings.warn(f"{note}.", stacklevel=2)
         return _read(sitk, str(path), path.name, said, header)
     if is_dicom(path) and is_multiframe(path):
         return read_multiframe(sitk, path, largest_voxels)
+    if path.name.upper() == "DICOMDIR":
+        raise InputError(f"{path} is the list of a disc's files; give the folder that holds the slices of the series.")
     if is_dicom(path):
         raise InputError(f"{path} is a single DICOM slice; give the folder that holds all slices of the series.")
     raise InputError(
@@ -102,10 +104,21 @@ def _check_name(path: Path) -> None:
 
 
 def _said(path: Path) -> Said:
-    name = path.name.lower()
-    if name.endswith((".nii", ".nii.gz")):
+    if _is_nifti(path):
         return nifti_said(path)
-    return nrrd_said(path) if name.endswith((".nrrd", ".nhdr")) else meta_said(path)
+    return nrrd_said(path) if path.suffix.lower() in (".nrrd", ".nhdr") else meta_said(path)
+
+
+def _is_nifti(path: Path) -> bool:
+    return path.name.lower().endswith((".nii", ".nii.gz"))
+
+
+def _check_data(path: Path) -> None:
+    """Refuse data that are not whole, of formats whose readers would fill in the rest (NRRD's own does not)."""
+    if _is_nifti(path):
+        check_nifti_length(path)
+    elif path.suffix.lower() in (".mha", ".mhd"):
+        check_meta_data(path)
 
 
 def _check_file(sitk: ModuleType, path: Path, largest_voxels: int) -> None:
@@ -114,6 +127,8 @@ def _check_file(sitk: ModuleType, path: Path, largest_voxels: int) -> None:
     try:
         reader.ReadImageInformation()
     except RuntimeError as error:
+        if _is_nifti(path):
+            check_nifti_packing(path)  # its reader does not say why
         raise InputError(f"{path} cannot be read as a scan: {_reason(error)}. Export or copy it again.") from None
     size = reader.GetSize()
     if len([n for n in size if n > 1]) != 3 or reader.GetNumberOfComponents() != 1:
@@ -148,7 +163,8 @@ def _read(sitk: ModuleType, files: str | tuple[str, ...], source: str, said: Sai
     spacing, direction, origin = voxel_geometry(
         np.array(image.GetSpacing()[:3]), _direction(image), np.array(image.GetOrigin()[:3]), said, header
     )
-    return Scan(_voxels(sitk, image, source), transform_of_voxels(spacing, direction, origin, source), source, names)
+    voxels = _voxels(sitk, image, source, said.added)
+    return Scan(voxels, transform_of_voxels(spacing, direction, origin, source), source, names)
 
 
 def _direction(image: Any) -> NDArray[np.float64]:
@@ -156,12 +172,15 @@ def _direction(image: Any) -> NDArray[np.float64]:
     return np.reshape(image.GetDirection(), (dimension, dimension))[:3, :3]
 
 
-def _voxels(sitk: ModuleType, image: Any, source: str) -> NDArray[np.int16]:
+def _voxels(sitk: ModuleType, image: Any, source: str, added: float) -> NDArray[np.int16]:
     """(X, Y, Z) in 16 bits; rounded where the file has fractions of Hounsfield units."""
     values = sitk.GetArrayViewFromImage(image)
     while values.ndim > 3:
         values = values[0]
+    if added:
+        values = values.astype(np.float64) - added
     _check_shares(values, source)
+    _say_beyond(values, source)
     return small_voxels(values)
 
 
@@ -172,6 +191,19 @@ def small_voxels(values: NDArray[Any]) -> NDArray[np.int16]:
         whole = np.rint(np.nan_to_num(slice_, nan=-1024.0)) if values.dtype.kind == "f" else slice_
         small[k] = whole if values.dtype == np.int16 else np.clip(whole, -32768, 32767)
     return small.transpose(2, 1, 0)
+
+
+def _say_beyond(values: NDArray[Any], source: str) -> None:
+    """Say numbers that 16 bits do not hold, and voxels that are no numbers."""
+    if values.dtype.kind == "f" and (none := int(np.isnan(values).sum())):
+        warnings.warn(f"{source}: {none} voxels are no numbers (NaN); they are taken for air.", stacklevel=2)
+    low, high = np.nanmin(values), np.nanmax(values)
+    if low < -32768 or high > 32767:
+        warnings.warn(
+            f"{source} holds numbers from {low:g} to {high:g}; CT numbers and labels lie within -32768 and 32767, and "
+            "what is beyond is set to these. Is it scaled otherwise?",
+            stacklevel=2,
+        )
 
 
 def _check_shares(values: NDArray[Any], source: str) -> None:
@@ -209,4 +241,4 @@ def _label(text: str, key: str, source: str) -> int:
 def _reason(error: RuntimeError) -> str:
     lines = [line.strip() for line in str(error).splitlines() if "ERROR" in line or "[nrrd]" in line]
     text = lines[-1].rpartition("ERROR: ")[2] if lines else "unknown reason"
-    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text).rstrip(".")
+    return re.sub(r"\w+\(0x[0-9a-f]+\): |\[nrrd\] \w+: ", "", text).rstrip(".")

@@ -61,14 +61,25 @@ def transform_of_voxels(spacing_mm: ArrayLike, direction: ArrayLike, origin_lps:
             f"{source} has voxels of {np.round(spacing, 4).tolist()} mm; accepted are 0.05 to 10 mm. Its header "
             "lacks the spacing or states it in another unit: export the scan again, in mm."
         )
-    if np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
+    check_straight(R, source)
+    if not np.isfinite(origin_lps).all():
+        raise InputError(f"{source} states {np.asarray(origin_lps).tolist()} mm for its first voxel; export it again.")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R * spacing, origin_lps
+    return T
+
+
+def check_straight(R: Array, source: str) -> None:
+    """Refuse direction cosines (3, 3), a column an axis, that are not at right angles.
+
+    Raises:
+        InputError: they are not.
+    """
+    if not np.abs(R.T @ R - np.eye(3)).max() <= 1e-3:
         raise InputError(
             f"The axes of {source} are not at right angles (a sheared or tilted scan). Resample it to a straight "
             "grid, e.g. in 3D Slicer with 'Resample Image', and give that."
         )
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R * spacing, origin_lps
-    return T
 
 
 def spread_box(low: ArrayLike, high: ArrayLike, shape: tuple[int, ...]) -> tuple[slice, slice, slice]:

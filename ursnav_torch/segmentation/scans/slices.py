@@ -15,6 +15,14 @@ Array = NDArray[np.float64]
 
 #: Slices are reconstructed from overlapping to with gaps: steps of these parts of their thickness.
 _THICKNESS = 0.15, 1.6
+#: What says where a slice lies: tags, and how many numbers each has.
+_PLACE = {"ImagePositionPatient": 3, "ImageOrientationPatient": 6, "PixelSpacing": 2}
+_WORDS = {
+    "ImagePositionPatient": "where its slice lies", "ImageOrientationPatient": "how its slice lies",
+    "PixelSpacing": "how large its pixels are", "RescaleSlope": "how its numbers are scaled",
+}  # fmt: skip
+#: Words for Hounsfield units: "unspecified" is what a CT without a word on them gets from some programs.
+_HOUNSFIELD = ("", "HU", "US")
 #: Directions are at right angles and of length 1 but for rounding.
 _ROUNDED = 0.02
 
@@ -28,7 +36,8 @@ class Slice:
         position: (3,) mm of its first pixel, LPS. orientation: (2, 3) directions of its rows and columns.
         spacing: (2,) mm. thickness: mm, or None.
         whose: patient, study and frame of reference, which are one in a scan. modality: CT, MR, ...
-        has_units: whether it says how its numbers become Hounsfield units.
+        has_units: whether it says how its numbers become Hounsfield units. unit: what it calls them, "" for nothing.
+        uid: its own.
     """
 
     path: str
@@ -40,6 +49,8 @@ class Slice:
     whose: tuple[str, str, str]
     modality: str
     has_units: bool
+    unit: str
+    uid: str
 
 
 def read_slice(file: str, tags: Any) -> Slice:
@@ -48,17 +59,13 @@ def read_slice(file: str, tags: Any) -> Slice:
     Raises:
         InputError: it does not say where it lies or how large its pixels are.
     """
-    try:
-        position = np.array(tags.ImagePositionPatient, float).reshape(3)
-        orientation = np.array(tags.ImageOrientationPatient, float).reshape(2, 3)
-        spacing = np.array(tags.PixelSpacing, float).reshape(2)
-    except (AttributeError, TypeError, ValueError):
-        raise InputError(
-            f"{file} does not say where its slice lies or how large its pixels are (ImagePositionPatient, "
-            "ImageOrientationPatient, PixelSpacing); export the series again as CT slices."
-        ) from None
-    if not np.isfinite([*position, *orientation.ravel(), *spacing]).all() or spacing.min() <= 0:
-        raise InputError(f"{file} states numbers that cannot be for its place or pixel size; export the series again.")
+    position, orientation, spacing = (_stated(tags, name, count, file) for name, count in _PLACE.items())
+    orientation = orientation.reshape(2, 3)
+    if spacing.min() <= 0:
+        raise InputError(f"{file} has pixels of {spacing.tolist()} mm (PixelSpacing); export the series again.")
+    slope = float(_stated(tags, "RescaleSlope", 1, file)[0]) if "RescaleSlope" in tags else 1.0
+    if slope == 0:
+        raise InputError(f"{file} scales its numbers by {slope:g} (RescaleSlope); export the series again.")
     if np.abs(orientation @ orientation.T - np.eye(2)).max() > _ROUNDED:
         raise InputError(
             f"{file}: its rows and columns run along {orientation.tolist()}, which are not at right angles and of "
@@ -84,7 +91,27 @@ def read_slice(file: str, tags: Any) -> Slice:
         tuple(str(tags.get(name, "")) for name in names),  # type: ignore[arg-type]
         str(tags.get("Modality", "")),
         "RescaleIntercept" in tags,
+        str(tags.get("RescaleType", "") or "").strip().upper(),
+        str(tags.get("SOPInstanceUID", "")),
     )
+
+
+def _stated(tags: Any, name: str, count: int, file: str) -> Array:
+    """The finite numbers of a tag.
+
+    Raises:
+        InputError: it is missing, or they are none.
+    """
+    try:
+        found = np.array(tags[name].value, float).reshape(count)
+    except (KeyError, TypeError, ValueError):
+        found = np.full(count, np.nan)
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"{file} does not say {_WORDS[name]} ({name} is {tags.get(name, 'missing')}); export the series again as "
+            "CT slices."
+        )
+    return found
 
 
 def check_alike(slices: list[Slice], folder: Path) -> None:
@@ -129,8 +156,10 @@ def in_order(slices: list[Slice], folder: Path) -> list[Slice]:
     steps = np.diff(height)
     step = float(np.median(steps))
     if step <= 0 or steps.min() < 0.1 * step:
+        same = np.flatnonzero(steps < max(0.1 * step, 1e-3))
+        _check_copies([(slices[i], slices[i + 1]) for i in same], folder)
         raise InputError(
-            f"{folder} has {int(np.sum(steps < max(0.1 * step, 1e-3)))} pairs of slices at the same place: several "
+            f"{folder} has {len(same)} pairs of slices at the same place: several "
             "phases or reconstructions in one series. Leave only the slices of one there."
         )
     gaps = np.flatnonzero(np.abs(steps - step) > 0.05 * step + 0.02)
@@ -150,6 +179,16 @@ def in_order(slices: list[Slice], folder: Path) -> list[Slice]:
     return slices
 
 
+def _check_copies(pairs: list[tuple[Slice, Slice]], folder: Path) -> None:
+    """Refuse slices that are there twice as such, by their own UID."""
+    if pairs and all(a.uid == b.uid and a.uid for a, b in pairs):
+        first, second = (Path(s.path).name for s in pairs[0])
+        raise InputError(
+            f"{folder} has {len(pairs)} slices twice, copies of one another ({first} and {second} the first; one "
+            "SOPInstanceUID). Delete one of each."
+        )
+
+
 def say_doubts(slices: list[Slice], folder: Path) -> None:
     """Say what a scan in order leaves open: numbers that may be no Hounsfield units, a thickness unlike the step."""
     if slices[0].modality not in ("CT", "", "SEG"):
@@ -161,6 +200,12 @@ def say_doubts(slices: list[Slice], folder: Path) -> None:
         warnings.warn(
             f"{folder} does not say how its numbers become Hounsfield units (RescaleIntercept): they are taken for "
             "such. If air is near 0 in it and not near -1000, export it again.",
+            stacklevel=4,
+        )
+    elif odd := next((s.unit for s in slices if s.unit not in _HOUNSFIELD), None):
+        warnings.warn(
+            f"{folder} calls its numbers {odd!r} (RescaleType), not HU: they are taken for Hounsfield units. If air is "
+            "not near -1000 in it, export it again.",
             stacklevel=4,
         )
     step = float(np.linalg.norm(slices[-1].position - slices[0].position)) / (len(slices) - 1)

@@ -17,6 +17,11 @@ _PATIENT_SPACES = {
     "left-posterior-superior-time", "right-anterior-superior-time", "left-anterior-superior-time",
     "lpst", "rast", "last",
 }  # fmt: skip
+#: Others that NRRD knows, which say nothing of a patient.
+_OTHER_SPACES = {
+    "scanner-xyz", "scanner-xyz-time", "3d-right-handed", "3d-left-handed", "3d-right-handed-time",
+    "3d-left-handed-time",
+}  # fmt: skip
 
 
 def nrrd_said(path: Path) -> Said:
@@ -25,14 +30,37 @@ def nrrd_said(path: Path) -> Said:
     Raises:
         InputError: it is no such header, or holds a number that cannot be.
     """
-    fields = _fields(path, ":", b"NRRD")
+    fields = header_fields(path, ":", b"NRRD")
     directions = _vectors(fields.get("space directions", ""))
     spacings = _numbers(fields.get("spacings", ""))
+    _check_space(fields, bool(len(directions)), path)
     spacing = len(directions) >= 3 or int(np.sum(spacings > 0)) >= 3
     orientation = len(directions) >= 3 and fields.get("space", "").lower() in _PATIENT_SPACES
-    notes = () if not orientation or "space origin" in fields else (_no_origin(path),)
+    placed = len(_vectors(fields.get("space origin", ""), least=0)) == 1
+    notes = () if not orientation or placed else (_no_origin(path),)
     words = {w.lower() for w in re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))} - {""}
-    return Said(spacing, orientation, _unit(words, path), 1.0, notes)
+    said = next((f"{key} is {fields[key]}" for key in ("space directions", "spacings") if key in fields), "")
+    return Said(spacing, orientation, _unit(words, path), 1.0, notes, found=said)
+
+
+def _check_space(fields: dict[str, str], directed: bool, path: Path) -> None:
+    """Refuse a space that NRRD does not have, or distances in one that says no directions.
+
+    Raises:
+        InputError: see there.
+    """
+    space = fields.get("space", "").lower()
+    if space and space not in _PATIENT_SPACES | _OTHER_SPACES:
+        raise InputError(
+            f"{path} states its space as {fields['space']!r}, which NRRD has not: left-posterior-superior, "
+            "right-anterior-superior or left-anterior-superior is expected. Export it again, or write one of them with "
+            "the directions that go with it."
+        )
+    if space and not directed and "spacings" in fields:
+        raise InputError(
+            f"{path} states a space and spacings, and no space directions: how it lies in that space is not said. "
+            "Export it again, or delete the line space and say kidney.header.orientation=."
+        )
 
 
 def meta_said(path: Path) -> Said:
@@ -41,11 +69,17 @@ def meta_said(path: Path) -> Said:
     Raises:
         InputError: as `nrrd_said` does.
     """
-    fields = _fields(path, "=", b"")
+    fields = header_fields(path, "=", b"")
+    if any(name.startswith("seq_frame") for name in fields):
+        raise InputError(
+            f"{path} is a sequence that Plus recorded, pictures and poses over time (Seq_Frame...), and no scan. Give "
+            "the volume that was reconstructed of it, or the CT."
+        )
     sizes = _numbers(fields.get("elementspacing", fields.get("elementsize", "")))
     matrix = next((fields[key] for key in ("transformmatrix", "rotation", "orientation") if key in fields), None)
     named = fields.get("anatomicalorientation", "").upper()
-    placed = any(key in fields for key in ("offset", "position", "origin"))
+    offset = next((fields[key] for key in ("offset", "position", "origin") if key in fields), "nan")
+    placed = "nan" not in offset.lower()
     lies = matrix is not None or named == _AS_IT_IS  # a reader goes by the matrix alone, and without one by this
     notes = [_no_origin(path)] if lies and not placed else []
     if matrix is not None and re.fullmatch("[RLAPSI]{3}", named) and named != (told := _from_sides(_numbers(matrix))):
@@ -62,7 +96,7 @@ def _from_sides(matrix: np.ndarray) -> str:
     return "".join("RL AP IS".split()[i][int(axis[i] < 0)] for axis in axes for i in [int(np.abs(axis).argmax())])
 
 
-def _fields(path: Path, sign: str, magic: bytes) -> dict[str, str]:
+def header_fields(path: Path, sign: str, magic: bytes) -> dict[str, str]:
     """Fields by their small names, up to the blank line (NRRD) or the data's name (MetaImage)."""
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)
@@ -88,14 +122,21 @@ def _fields(path: Path, sign: str, magic: bytes) -> dict[str, str]:
 
 
 def _numbers(text: str) -> np.ndarray:
+    """The numbers of a text, 0 for those that are not finite; none where a word is no number."""
+    return np.nan_to_num(_words(text), posinf=0.0, neginf=0.0)
+
+
+def _words(text: str) -> np.ndarray:
     try:
-        return np.nan_to_num(np.array([float(word) for word in text.split()]), posinf=0.0, neginf=0.0)
+        return np.array([float(word) for word in text.split()])
     except ValueError:
         return np.zeros(0)
 
 
-def _vectors(text: str) -> list[str]:
-    return re.findall(r"\(([^)]*)\)", text)
+def _vectors(text: str, least: float = 1e-12) -> list[np.ndarray]:
+    """The vectors in brackets that are numbers, and longer than ``least`` or as long."""
+    found = [_words(inner.replace(",", " ")) for inner in re.findall(r"\(([^)]*)\)", text)]
+    return [v for v in found if v.size and np.isfinite(v).all() and np.linalg.norm(v) >= least]
 
 
 def _unit(words: set[str], path: Path) -> float | None:
