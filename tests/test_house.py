@@ -23,6 +23,7 @@ SHARED_NAMES: dict[str, str] = {}
 MANY_PARAMETERS = {
     "GrblRobot.__init__": "each is one line of the robot's YAML",
     "OpenCvCamera.__init__": "each is one line of the camera's YAML",
+    "register.landmarks_job": "each is one line of the registration's YAML",
     "build_rig": "one parameter a device: the rig's config composes them",
     "demo.run_demo": "what the runner was told, once",
     "match.match_images": "what the runner was told, once",

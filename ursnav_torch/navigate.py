@@ -19,9 +19,14 @@ def main(config: Any) -> None:
     from ursnav_torch.vid import load_vid
 
     choices = (config.tracking, config.search, config.matching, config.alignment)
+    vid = load_vid(caller_path(config.vid))
+    known: Any = ()
+    if config.known_stones is not None:
+        bounds_mm = vid.kidney.mesh.bounds
+        known = read_known_stones(caller_path(config.known_stones), config.known_stones_unit, bounds_mm)
     plain: Any = OmegaConf.to_container(config, resolve=True)
     summary = navigate_vid(
-        Tracker(load_vid(caller_path(config.vid)), *(instantiate(choice) for choice in choices)),
+        Tracker(vid, *(instantiate(choice) for choice in choices)),
         instantiate(config.hardware),
         make_renderer=instantiate(config.rendering),
         page=instantiate(config.viewer) if config.viewer else None,
@@ -34,7 +39,7 @@ def main(config: Any) -> None:
         config=plain,
         exploration=instantiate(config.exploration),
         autonomy=instantiate(config.autonomy) if config.autonomy else None,
-        known_stones=() if config.known_stones is None else read_known_stones(caller_path(config.known_stones)),
+        known_stones=known,
     )
     print(summary)
 

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +48,17 @@ def read_csv(path: str | Path, required: Sequence[str], what: str) -> list[Row]:
     if not rows:
         raise InputError(f"The {what} file {path} has no rows{_expected(required)}.")
     return rows
+
+
+def check_columns(names: Iterable[str], required: Sequence[str], path: str | Path, what: str) -> None:
+    """Refuse a header that lacks columns.
+
+    Raises:
+        InputError: it does; ``what`` names the kind of file.
+    """
+    there = list(names)
+    if missing := [name for name in required if name not in there]:
+        raise InputError(f"The {what} file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(there)}.")
 
 
 def number(row: Row, column: str) -> float:
@@ -138,9 +149,8 @@ def _columns(header: list[str], path: Path, required: Sequence[str], what: str) 
             f"The {what} file {path} has {word} between its cells; save it with commas between cells and with points "
             f"in numbers{_expected(required)}."
         )
-    if not missing:
-        return names
-    raise InputError(f"The {what} file {path} lacks the column(s) {', '.join(missing)}; it has {', '.join(names)}.")
+    check_columns(names, required, path, what)
+    return names
 
 
 def _expected(required: Sequence[str]) -> str:

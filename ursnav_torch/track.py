@@ -32,7 +32,7 @@ def main(config: Any) -> int:
     source = put_back(source, cut, tracker)
     sensor, readings = _em_readings(config, vid.kidney.mesh.bounds)
     instruments = Instruments(sensor, _odometry(config))
-    out, besides = caller_path(config.out), _besides(config)
+    out, besides = caller_path(config.out), _besides(config, vid.kidney.mesh.bounds)
     check_set(track_results(out, besides), config.overwrite)
     summary, whole = track_source(
         tracker, source, out, instruments, config.overwrite, progress, config.offline, besides
@@ -75,7 +75,7 @@ def _odometry(config: Any) -> Any:
     return recorded_odometry(caller_path(config.odometry))
 
 
-def _besides(config: Any) -> Any:
+def _besides(config: Any, bounds_mm: Any) -> Any:
     """What is made of the rows besides the rows, and the files that the result is bound to."""
     from hydra.utils import instantiate
 
@@ -85,7 +85,9 @@ def _besides(config: Any) -> Any:
     truth = None if config.truth is None else read_truth(caller_path(config.truth))
     read = [config[key] for key in PATHS if config[key] is not None]
     inputs = tuple(caller_path(path) for path in read if path != "camera")
-    known = () if config.known_stones is None else read_known_stones(caller_path(config.known_stones))
+    known: Any = ()
+    if config.known_stones is not None:
+        known = read_known_stones(caller_path(config.known_stones), config.known_stones_unit, bounds_mm)
     return Besides(truth, config.tum, inputs, instantiate(config.exploration), known)
 
 

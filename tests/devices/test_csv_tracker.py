@@ -41,6 +41,10 @@ def test_samples_come_at_their_own_pace(path, monkeypatch):
         ("0,1.0,1,2,3,0,0,0\n", "axis dx,dy,dz is missing or zero"),
         ("0,1.0,1,x,3,0,0,1\n", "y_mm is 'x'"),
         ("0,1.0,1,2,3,0,0,1\n1,0.5,1,2,3,0,0,1\n", "runs backwards"),
+        (
+            f"0,1.0,1,2,3,0,0,1\n{''.join(f'{i},2.0,{i},2,3,0,0,1' + chr(10) for i in range(20))}",
+            "stands still at 2.000",
+        ),
     ],
 )
 def test_files_that_cannot_be_used_are_refused(tmp_path, rows, message):

@@ -30,7 +30,7 @@ def joined(path: Path, form: EmFormat | None = None) -> EmSamples:
     [
         ("x_mm,y_mm,z_mm", 0.1, "cm", r"lie within .* mm and no farther than .*em_unit=cm"),
         ("x_mm,y_mm,z_mm", 1e-3, "m", r"closer than a sensor that is held still.*em_unit=m"),
-        ("x_mm,y_mm,z_mm", 0.039, None, r"convert inches"),
+        ("x_mm,y_mm,z_mm", 1 / 25.4, "in", r"in inches em_unit=in"),
         ("Tx,Ty,Tz", 0.1, "cm", r"em_unit=cm"),
         ("x_cm,y_cm,z_cm", 1.0, "mm", r"spread over [\d.]+ mm, and no kidney is as large.*em_unit=mm"),
         ("x_cm,y_cm,z_cm", 1e-3, "m", r"em_unit=cm"),
@@ -176,3 +176,21 @@ def test_orientations_that_are_not_read_are_said_and_quaternions_that_are_none_r
 def test_readings_that_are_all_the_same_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"All 300 readings of .* are the same to the last digit"):
         read_em_samples(log(tmp_path / "em.csv", "x_mm,y_mm,z_mm", np.tile([150.0, -40, -120], (300, 1))))
+
+
+def test_a_clock_that_stands_beside_frame_numbers_is_named_as_the_reason(tmp_path: Path) -> None:
+    path = log(tmp_path / "em.csv", "frame,t_s,x_mm,y_mm,z_mm", np.arange(300), 0 * TIMES + 3, PATH_MM)
+    with pytest.raises(InputError, match=r"em\.csv stands still at 3\.000 s over its readings 1 to 300.*em_join=frame"):
+        joined(path)
+
+
+def test_axes_of_many_lengths_are_none(tmp_path: Path) -> None:
+    angles = np.stack([45 + TIMES, 30 - TIMES, 10 + 0 * TIMES], axis=1)
+    with pytest.raises(InputError, match=r"em\.csv: dx, dy, dz are .* long; a sensor's axis has one length"):
+        read_em_samples(log(tmp_path / "em.csv", "t_s,x_mm,y_mm,z_mm,dx,dy,dz", TIMES, PATH_MM, angles))
+
+
+def test_a_time_of_day_is_told_as_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "em.csv").write_text("timestamp,x_mm,y_mm,z_mm\n10:00:01.5,1,2,3\n")
+    with pytest.raises(InputError, match=r"line 2: timestamp is '10:00:01\.5', expected a finite number"):
+        read_em_samples(tmp_path / "em.csv")

@@ -40,6 +40,7 @@ def test_a_file_without_pelvis_with_byte_order_mark_and_more_columns(tmp_path: P
         ("calyx,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "'A' is used twice"),
         ("calyx,x_mm,y_mm,z_mm\n ,1,2,3\n", "'' is empty"),
         ("calyx,x_mm,y_mm,z_mm\npelvis,1,2,3\n", "names no calyx"),
+        ('calyx,x_mm,y_mm,z_mm\n"A\nB",1,2,3\n', r"c\.csv, line 2: A calyx cannot be called 'A\\nB'"),
     ],
 )
 def test_unusable_calyces_are_refused(tmp_path: Path, text: str, match: str) -> None:

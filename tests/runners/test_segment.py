@@ -35,7 +35,9 @@ def ct(patient: Patient, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_folder_holds_all_that_is_needed(run: Any, ct: Path, patient: Patient, tmp_path: Path) -> None:
     points = [{"label": "A", "position": [1, 2, 3]}, {"label": "B", "position": [4, 5, 6]}]
-    markups = {"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": points}]}
+    markups = {
+        "markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "coordinateUnits": "mm", "controlPoints": points}]
+    }
     (tmp_path / "l.mrk.json").write_text(json.dumps(markups))
     done = run("segment", f"kidney.path={ct}", "out=mine", f"landmarks={tmp_path}/l.mrk.json", "kidney.frame=ras")
     assert (done.code, done.err) == (0, "") and "preview.png" in done.out

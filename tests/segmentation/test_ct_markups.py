@@ -120,3 +120,19 @@ def test_curves_that_do_not_fit_are_refused(phantom: Kidney) -> None:
     bent = [np.vstack([c[0], c.mean(axis=0) + 40.0, c[-1]]) for c in curves]
     with pytest.raises(InputError, match=r"c: the curves leave the lumen by up to"):
         with_curves(phantom, bent, "c")
+
+
+@pytest.mark.parametrize("unsaid", ["coordinateSystem", "coordinateUnits"])
+def test_what_markups_do_not_say_is_taken_by_the_formats_definition_and_said(tmp_path: Path, unsaid: str) -> None:
+    path = written(tmp_path / "p.mrk.json", POINTS)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    del data["markups"][0][unsaid]
+    path.write_text(json.dumps(data))
+    with pytest.warns(UserWarning, match=rf"p\.mrk\.json does not say its {unsaid}: .* LPS and mm are taken"):
+        np.testing.assert_allclose(points_of(read_markups(path))[1], list(POINTS.values()))
+
+
+def test_a_control_point_that_is_no_place_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "p.mrk.json", POINTS | {"third": [1.0, 2.0, "nan"]})
+    with pytest.raises(InputError, match=r"p\.mrk\.json: control point 4 is at \[1\.0, 2\.0, nan\], which is no place"):
+        read_markups(path)

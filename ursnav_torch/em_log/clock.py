@@ -29,9 +29,8 @@ def check_clock(samples: EmSamples, within_s: float = NEAR_S) -> None:
     Raises:
         InputError: one time stands for several moments.
     """
-    if samples.t_s is None:
+    if samples.t_s is None or (rows := np.flatnonzero(np.isfinite(samples.t_s))).size < 2:
         return
-    rows = np.flatnonzero(np.isfinite(samples.t_s))
     t = samples.t_s[rows]
     steps = np.diff(t)
     if not (steps > 0).any():

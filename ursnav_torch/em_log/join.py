@@ -124,6 +124,8 @@ def _by_clock(samples: EmSamples, named: Rows, times: Array, within_s: float) ->
         return False
     if not in_step and covered >= 0.5 and both.sum() < np.isfinite(samples.t_s).sum():
         return True
+    if not in_step:
+        check_clock(samples, within_s)
     said = f"its times run {offset:.2f} s ahead" if in_step else "its times run at another rate"
     raise InputError(
         f"{samples.source}: frame numbers and t_s contradict each other: joined by number, {said} than the pictures'. "

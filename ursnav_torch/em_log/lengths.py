@@ -49,11 +49,11 @@ def check_lengths(position_mm: Array, t_s: Array | None, source: str, form: EmFo
         raise InputError(
             f"The {len(seen)} positions of {source} lie within {path:.2g} mm and no farther than {away:.2g} mm from "
             "the field generator, where a scope moves some centimeters some way off it. If they are in centimeters, "
-            "say em_unit=cm; if they are right, em_unit=mm; convert inches."
+            "say em_unit=cm, if in inches em_unit=in; if they are right, em_unit=mm."
         )
     if path > _LONG_MM:
         raise InputError(
             f"The {len(seen)} positions of {source} are spread over {path:.4g} mm, and no kidney is as large. If they "
             "are in millimeters whatever the column's name says, say em_unit=mm; give only what was recorded in the "
-            "kidney; and if they are right, say their unit, em_unit=mm, cm or m."
+            "kidney; and if they are right, say their unit, em_unit=mm, cm, m or in."
         )

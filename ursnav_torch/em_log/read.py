@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 
 from ursnav_torch.columns import EM_COLUMNS
 from ursnav_torch.em_log.lengths import check_lengths
-from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
+from ursnav_torch.em_log.samples import TIME_S, EmFormat, EmSamples
 from ursnav_torch.em_log.seen import NO_NUMBER, NO_READING, flagged_seen, in_field, no_place
 from ursnav_torch.em_log.sensors import check_one_sensor, rows_of_one_sensor
 from ursnav_torch.em_log.sequence import SEQUENCE_SUFFIXES, read_sequence
 from ursnav_torch.errors import InputError
 from ursnav_torch.tables import Row, number, read_csv
+from ursnav_torch.units import LENGTH_MM
 
 Array = NDArray[np.float64]
 
 #: A quaternion may be so much longer or shorter than 1, by rounding.
 _LONGER = 0.02
+#: Axes may be so much longer than others, by rounding to a digit.
+_UNEVEN = 0.25
 #: A whole number as some programs write it, 12.0.
 _WHOLE = re.compile(r"^(\d+)\.0+$", re.ASCII)
 #: Words for an orientation by three angles.
@@ -32,10 +35,10 @@ _REPEATS = 10
 def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples:
     """Read ``frame,t_s,x_mm,y_mm,z_mm,dx,dy,dz`` (or ``image`` for ``frame``); all but the position may be missing.
 
-    Read besides: ``x_cm`` and ``x_m``, ``t_ms``, ``t_us``, ``t_ns``; ``Tx,Ty,Tz`` (NDI, mm); ``qx,qy,qz,qw`` (or NDI's
-    ``Q0,Qx,Qy,Qz``), whose z axis is the sensor's; columns such as ``state`` or ``visible``. Blank cells, NaN, numbers
-    beyond any field (-3.697314E28), zeros in position and axis and flags that say so are a sensor that was not visible.
-    Sequences that Plus recorded (.mha, .mhd) are read, too, see `read_sequence`.
+    Read besides: ``x_cm``, ``x_m``, ``x_in``, ``t_ms``, ``t_us``, ``t_ns``; ``Tx,Ty,Tz`` (NDI, mm); ``qx,qy,qz,qw``
+    (or NDI's ``Q0,Qx,Qy,Qz``), whose z axis is the sensor's; columns such as ``state`` or ``visible``. Blank cells,
+    NaN, numbers beyond any field (-3.697314E28), zeros in position and axis and flags that say so are a sensor that was
+    not visible. Sequences that Plus recorded (.mha, .mhd) are read, too, see `read_sequence`.
 
     Raises:
         InputError: it cannot be read, has no position or row, says nothing of its unit, or says what cannot be.
@@ -132,6 +135,7 @@ def _axes(rows: list[Row], names: Mapping[str, str], quaternion: Array | None) -
     if all(c in names for c in EM_COLUMNS[3:]):
         axis = _numbers(rows, [names[c] for c in EM_COLUMNS[3:]])
         length = np.linalg.norm(axis, axis=1, keepdims=True)
+        _check_one_length(length[length > 1e-9], rows)
         return np.asarray(axis / np.where(length > 1e-9, length, np.nan))
     if quaternion is None:
         if unread := [names[c] for c in _ANGLES if c in names]:
@@ -145,6 +149,15 @@ def _axes(rows: list[Row], names: Mapping[str, str], quaternion: Array | None) -
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
+def _check_one_length(length: Array, rows: list[Row]) -> None:
+    """Refuse axes of many lengths (N,): they are other numbers, such as angles or differences."""
+    if len(length) >= _REPEATS and (length.max() > (1 + _UNEVEN) * length.min()):
+        raise InputError(
+            f"{rows[0].path}: dx, dy, dz are {length.min():.3g} to {length.max():.3g} long; a sensor's axis has one "
+            "length. Are they angles, or steps? Rename the columns if they are not the direction that it points in."
+        )
+
+
 def _times(rows: list[Row], names: Mapping[str, str], form: EmFormat) -> Array | None:
     for unit, seconds in TIME_S.items():
         if (column := names.get(f"t_{unit}")) is not None:
@@ -152,6 +165,7 @@ def _times(rows: list[Row], names: Mapping[str, str], form: EmFormat) -> Array |
     column = next((names[c] for c in ("t", "time", "timestamp") if c in names), None)
     if column is None:
         return None
+    _clock(rows, column, 1.0)  # a time of day is told as what it is
     if form.time_unit is None:
         raise InputError(
             f"{rows[0].path} has a column {column} and does not say its unit: set em_time_unit= to one of "

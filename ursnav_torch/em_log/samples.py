@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.units import LENGTH_MM
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-#: mm a unit of length, s a unit of time: what stands behind ``x_`` and ``t_`` in column names. Ticks are .NET's.
-LENGTH_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+#: s a unit of time: what stands behind ``t_`` in column names. Ticks are .NET's.
 TIME_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ticks": 1e-7, "min": 60.0}
 
 
@@ -20,7 +20,7 @@ class EmFormat:
     """What a log does not say about itself; None takes the column names' word, and asks where there is none.
 
     Args:
-        unit: of positions: mm, cm, m.
+        unit: of positions: mm, cm, m, in.
         time_unit: of times: s, ms, us, ns, ticks (of 100 ns), min.
         offset_s: the log's clock when the pictures' shows zero; it is taken off.
         join: ``frame`` where frame numbers are the pictures', ``time`` where they are the tracker's own.

@@ -63,7 +63,7 @@ def in_field(position_mm: Array, rows: list[Row]) -> BoolArray:
         row, at = rows[int(far.argmax())], np.round(position_mm[far][0], 1).tolist()
         raise InputError(
             f"{row.path}, line {row.line}: the position {at} mm is farther away than any tracker reaches "
-            f"({_FIELD_MM:.0f} mm). If the columns are in another unit, say which: em_unit=mm, cm or m."
+            f"({_FIELD_MM:.0f} mm). If the columns are in another unit, say which: em_unit=mm, cm, m or in."
         )
     return np.isfinite(position_mm).all(axis=1) & ~far
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.em_log.lengths import check_lengths
-from ursnav_torch.em_log.samples import LENGTH_MM, TIME_S, EmFormat, EmSamples
+from ursnav_torch.em_log.samples import TIME_S, EmFormat, EmSamples
 from ursnav_torch.errors import InputError
+from ursnav_torch.units import LENGTH_MM
 
 Array = NDArray[np.float64]
 

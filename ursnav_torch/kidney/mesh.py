@@ -13,7 +13,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
-from ursnav_torch.kidney.tables import read_calyces
+from ursnav_torch.kidney.tables import check_given, read_calyces
 
 _FORMATS = (".stl", ".ply", ".obj", ".glb")
 #: Bytes of a binary STL file before its triangles, and of each of them.
@@ -29,6 +29,7 @@ def load_mesh_kidney(
     calyces: Path | str | None = None,
     scale: float = 1.0,
     superior: ArrayLike | None = None,
+    calyces_unit: str | None = None,
 ) -> Kidney:
     """A kidney from a file of its lumen: STL (binary or ASCII), PLY, OBJ or GLB, in mm.
 
@@ -39,6 +40,7 @@ def load_mesh_kidney(
         scale: everything is multiplied by it; the kidney frame is the scaled one. Beyond what turns the file's
             unit into mm it is the kidney's ``scale`` (see `enlargement`).
         superior: direction (3,) towards the head, kidney frame; names the poles.
+        calyces_unit: of the lengths in ``calyces``, where the columns do not say it, or say it wrong.
 
     Raises:
         InputError: the files cannot be read or are not what they should be (see `check_lumen`).
@@ -48,8 +50,10 @@ def load_mesh_kidney(
     mesh.apply_scale(scale)
     name = Path(path).name
     mesh = check_lumen(mesh, name, larger)
-    given, pelvis = read_calyces(calyces) if calyces is not None else (None, None)
+    given, pelvis = read_calyces(calyces, calyces_unit) if calyces is not None else (None, None)
     if given is not None:
+        if calyces_unit is None:
+            check_given(given, mesh.bounds / scale, str(calyces))
         given = tuple(replace(c, tip_mm=c.tip_mm * scale) for c in given)
     return build_kidney(mesh, name, larger, given, None if pelvis is None else pelvis * scale, superior)
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney.anatomy import Calyx, Centerline
-from ursnav_torch.tables import number, read_csv, whole_number
+from ursnav_torch.tables import Row, check_columns, number, read_csv, whole_number
+from ursnav_torch.units import check_in_box, check_unit, length_columns, points_of_rows
 
 Array = NDArray[np.float64]
 
@@ -29,10 +30,11 @@ def write_calyces(path: Path | str, calyces: Sequence[Calyx], pelvis_mm: Array |
         writer.writerows((name, *(f"{x:.4f}" for x in point), pole) for name, point, pole in rows)
 
 
-def read_calyces(path: Path | str) -> tuple[tuple[Calyx, ...], Array | None]:
+def read_calyces(path: Path | str, unit: str | None = None) -> tuple[tuple[Calyx, ...], Array | None]:
     """Calyces of a file with the columns `calyx,x_mm,y_mm,z_mm` and perhaps `pole`, and the row `pelvis` (3,) if there.
 
-    Further columns are passed over; points are in the kidney frame.
+    Further columns are passed over; points are in the kidney frame. Columns in another unit say so (``x_cm``, m, in);
+    ``unit`` is the user's word, which counts before theirs.
 
     Raises:
         InputError: the file is missing, has no such columns or no calyx, a name is empty or twice, a number is none.
@@ -42,23 +44,42 @@ def read_calyces(path: Path | str) -> tuple[tuple[Calyx, ...], Array | None]:
             f"{path} holds markups of 3D Slicer, which kidney=ct takes; a mesh does not say if it is in LPS or RAS. "
             "Give it a CSV calyx,x_mm,y_mm,z_mm in the mesh's own coordinates."
         )
-    rows = read_csv(path, ("calyx", *_POINT), "calyces")
+    rows = read_csv(path, ("calyx",), "calyces")
+    columns, _ = length_columns(list(rows[0]))
+    check_columns(rows[0], columns, path, "calyces")
     names = [row["calyx"].strip() for row in rows]
-    for name in names:
+    for name, row in zip(names, rows, strict=True):
         if not name or names.count(name) > 1:
             raise InputError(
-                f"{path}: the calyx name {name!r} is {'used twice' if name else 'empty'}; name each one once."
+                f"{path}, line {row.line}: the calyx name {name!r} is {'used twice' if name else 'empty'}; name each "
+                "one once."
             )
-    points = [np.array([number(row, key) for key in _POINT]) for row in rows]
+    for row in rows:
+        for column in columns:
+            number(row, column)
+    points = list(points_of_rows(rows, "", check_unit(unit, "kidney.calyces_unit")))
     pelvis = next((p for n, p in zip(names, points, strict=True) if n.lower() == "pelvis"), None)
     calyces = tuple(
-        Calyx(name, point, row.get("pole", "").strip())
+        _calyx(name, point, row)
         for name, point, row in zip(names, points, rows, strict=True)
         if name.lower() != "pelvis"
     )
     if not calyces:
         raise InputError(f"{path} names no calyx; give at least one row calyx,x_mm,y_mm,z_mm besides the pelvis.")
     return calyces, pelvis
+
+
+def _calyx(name: str, tip_mm: Array, row: Row) -> Calyx:
+    try:
+        return Calyx(name, tip_mm, row.get("pole", "").strip())
+    except InputError as error:
+        raise InputError(f"{row.path}, line {row.line}: {error}") from None
+
+
+def check_given(calyces: Sequence[Calyx], box_mm: Array, path: str) -> None:
+    """Refuse tips that fit the kidney's box (2, 3) in another unit than mm alone, see `check_in_box`."""
+    tips = np.array([c.tip_mm for c in calyces])
+    check_in_box(tips, box_mm, f"The {len(tips)} calyces of {path}", "kidney.calyces_unit")
 
 
 def write_centerline(path: Path | str, centerline: Centerline, names: Sequence[str]) -> None:

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ursnav_torch.em_log import EmFormat, join_pictures, read_em_samples
+from ursnav_torch.em_log import EmFormat, EmSamples, join_pictures, read_em_samples
 from ursnav_torch.errors import InputError
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.tracking.follow import Moment
 from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.units import other_units
 
 Array = NDArray[np.float64]
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 SENSOR_MM, BREATH_MM = 0.7, 0.8
 #: A scope in the kidney has its sensor no farther than this outside the lumen's bounds, mm.
 _FAR_MM = 100.0
+#: Readings farther from where they belong than this, in the median, and in another unit nearer, are in that unit, mm.
+_ODD_MM = 20.0
 
 
 def readings_in_kidney(
@@ -77,7 +80,8 @@ def recorded_readings(
     joined = join_pictures(read_em_samples(em, form), images, t_s, form)
     readings = to_kidney(joined.samples.position_mm)
     if bounds_mm is not None:
-        _check_near(readings, np.asarray(bounds_mm, float), em, em_to_kidney)
+        registration = Registration.from_json(em_to_kidney)
+        _check_near(joined.samples.visible(), registration, np.asarray(bounds_mm, float), em_to_kidney)
 
     def reading(moment: Moment) -> SensorReading | None:
         return readings[moment.frame] if moment.frame < len(readings) else None
@@ -85,11 +89,41 @@ def recorded_readings(
     return reading, joined.said()
 
 
-def _check_near(readings: list[SensorReading | None], bounds_mm: Array, em: Path, em_to_kidney: Path) -> None:
-    at = np.array([r.position_mm for r in readings if r is not None])
-    away = np.linalg.norm(np.maximum(np.maximum(bounds_mm[0] - at, at - bounds_mm[1]), 0), axis=1)
+def check_em_unit(
+    position_em_mm: Array, away: Callable[[Array], Array], what: str, mend: str = "say em_unit={unit}"
+) -> None:
+    """Refuse positions (N, 3) in the EM frame that are near where they belong in another unit than mm alone.
+
+    Args:
+        position_em_mm: as they were read.
+        away: how far (N,) positions are from where they belong, mm.
+        what: their file.
+        mend: what the user does, with ``{unit}`` in it.
+
+    Raises:
+        InputError: see there.
+    """
+    off = float(np.median(away(position_em_mm)))
+    if not off > _ODD_MM:
+        return
+    units = other_units(position_em_mm, lambda p: float(np.median(away(p))) < min(_ODD_MM, off / 4))
+    if units:
+        raise InputError(
+            f"By the registration, the {len(position_em_mm)} positions of {what} are {off:.0f} mm from where they "
+            f"belong, and near if they are in {' or '.join(units)}: {mend.format(unit=units[0])}."
+        )
+
+
+def _check_near(seen: EmSamples, registration: Registration, bounds_mm: Array, em_to_kidney: Path) -> None:
+    def outside(position_em_mm: Array) -> Array:
+        at = registration.apply(position_em_mm)
+        return np.linalg.norm(np.maximum(np.maximum(bounds_mm[0] - at, at - bounds_mm[1]), 0), axis=1)
+
+    check_em_unit(seen.position_mm, outside, seen.source)
+    away = outside(seen.position_mm)
     if away.min() > _FAR_MM:
         raise InputError(
-            f"By {em_to_kidney}, the {len(at)} readings of {em} lie {away.min():.0f} to {away.max():.0f} mm outside "
-            "the kidney: the registration belongs to another EM frame or kidney, or the log to another unit (em_unit=)."
+            f"By {em_to_kidney}, the {len(away)} readings of {seen.source} lie {away.min():.0f} to {away.max():.0f} mm "
+            "outside the kidney: the registration belongs to another EM frame or kidney, or the log to another unit "
+            "(em_unit=)."
         )

@@ -24,6 +24,7 @@ def landmarks_job(
     reach_mm: float = 0.0,
     with_scale: bool = False,
     ransac: float | None = None,
+    unit: str | None = None,
 ) -> Registration:
     """``registration=landmarks``: `register_landmarks` on a landmark file.
 
@@ -33,13 +34,14 @@ def landmarks_job(
         kidney: not needed; tells the scale where it is given.
         reach_mm: from the sensor's position to the tip that touched; needs the columns em_dx, em_dy, em_dz.
         with_scale, ransac: see `register_landmarks`.
+        unit: of the landmarks' lengths, where the columns do not say it, or say it wrong.
 
     Raises:
         InputError, RegistrationError: as `register_landmarks` does; or a file or the axes are missing.
     """
     if landmarks is None or points is not None:
         raise InputError("registration=landmarks takes landmarks=FILE; points=FILE goes with surface or centerline.")
-    pairs = read_landmarks(landmarks)
+    pairs = read_landmarks(landmarks, unit)
     em = pairs.em_mm
     if reach_mm and pairs.em_axis is None:
         raise InputError(f"reach_mm={reach_mm} needs the columns em_dx,em_dy,em_dz (the sensor's axis) in {landmarks}.")

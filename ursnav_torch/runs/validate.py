@@ -13,6 +13,7 @@ from ursnav_torch.em_log import EmFormat, EmJoin, join_names, join_pictures, rea
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import Array
 from ursnav_torch.registration.files import read_landmarks
+from ursnav_torch.registration.readings import check_em_unit
 from ursnav_torch.registration.result import Registration
 from ursnav_torch.registration.validation import (
     Comparison,
@@ -27,6 +28,8 @@ from ursnav_torch.tables import Row, numbers, read_csv
 from ursnav_torch.vid import poses_from_rows
 
 BoolArray = NDArray[np.bool_]
+
+_NAME_THEM = "name the columns em_x_{unit}, em_y_{unit}, em_z_{unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +123,9 @@ def judge_matches(
     budget, e_cam = budget or ErrorBudget(), np.zeros(0)
     if reference_pairs is not None:
         pairs = read_landmarks(reference_pairs)
+        check_em_unit(
+            pairs.em_mm, lambda p: camera_errors(registration, p, pairs.kidney_mm), str(reference_pairs), _NAME_THEM
+        )
         e_cam = camera_errors(registration, pairs.em_mm, pairs.kidney_mm)
         if sensor_offset_mm is None:
             budget = replace(budget, match_mm=float(np.sqrt(np.mean(e_cam**2))))
@@ -127,6 +133,7 @@ def judge_matches(
     usable = np.array([not e for e in error], bool)
     T = poses_from_rows([row for row, ok in zip(rows, usable, strict=True) if ok])
     sensor, axis = joined.samples.position_mm[usable], joined.samples.axis[usable]
+    check_em_unit(sensor, lambda p: camera_errors(registration, p, T[:, :3, 3]), str(em))
     comparison = compare_poses(T, sensor, axis, registration, np.array(sensor_offset_mm or (0.0, 0.0, 0.0)), budget)
     distance = np.full(len(rows), np.nan)
     if len(e_cam):

@@ -14,7 +14,7 @@ from ursnav_torch.geometry import T_RAS_LPS, apply
 from ursnav_torch.kidney.anatomy import Calyx, Kidney
 from ursnav_torch.kidney.build import build_kidney
 from ursnav_torch.kidney.checks import check_lumen
-from ursnav_torch.kidney.tables import read_calyces
+from ursnav_torch.kidney.tables import check_given, read_calyces
 from ursnav_torch.segmentation.contrast import lumen_of_contrast
 from ursnav_torch.segmentation.curves import with_curves
 from ursnav_torch.segmentation.label_surface import lumen_surface
@@ -59,6 +59,7 @@ class SegmentationSettings:
         frame: of the kidney: "lps" or "ras".
         faces: triangles of the surface, at most; more are kept where fewer would move it by more than 0.2 mm.
         header: spacing, orientation or unit where the file's own header lacks them or is wrong.
+        calyces_unit: of the lengths in a CSV of calyces, where its columns do not say it, or say it wrong.
     """
 
     series: str | None = None
@@ -69,6 +70,7 @@ class SegmentationSettings:
     frame: str = "lps"
     faces: int = 60_000
     header: ScanHeader | None = None
+    calyces_unit: str | None = None
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
@@ -101,7 +103,8 @@ def load_ct_kidney(
         InputError: see `read_scan`, `lumen_of_label`, `lumen_of_contrast`, `check_lumen` and `build_kidney`.
         MissingExtraError: the extra ``ct`` is not installed.
     """
-    return name_kidney(scan_lumen(path, SegmentationSettings(**settings), progress), calyces, centerline)
+    chosen = SegmentationSettings(**settings)
+    return name_kidney(scan_lumen(path, chosen, progress), calyces, centerline, chosen.calyces_unit)
 
 
 def scan_lumen(
@@ -125,14 +128,21 @@ def scan_lumen(
     return CtKidney(scan, lumen, check_lumen(mesh, scan.source, 1.0, _UNIT_ADVICE), T)
 
 
-def name_kidney(found: CtKidney, calyces: Path | str | None, centerline: Path | str | None = None) -> Kidney:
+def name_kidney(
+    found: CtKidney,
+    calyces: Path | str | None,
+    centerline: Path | str | None = None,
+    calyces_unit: str | None = None,
+) -> Kidney:
     """The second half: calyces named or found, and the centerline."""
     given: tuple[Calyx, ...] | None = None
     pelvis: Array | None = None
     if calyces is not None and str(calyces).lower().endswith(".json"):
         given, pelvis = calyces_from_markups(read_markups(calyces), found.T_kidney_lps, str(calyces))
     elif calyces is not None:
-        given, pelvis = read_calyces(calyces)
+        given, pelvis = read_calyces(calyces, calyces_unit)
+    if given is not None and calyces_unit is None:
+        check_given(given, found.mesh.bounds, str(calyces))
     kidney = build_kidney(found.mesh, found.scan.source, 1.0, given, pelvis, (0.0, 0.0, 1.0))
     if centerline is None:
         return kidney

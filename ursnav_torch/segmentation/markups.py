@@ -1,5 +1,6 @@
 """3D Slicer's markups (.mrk.json): points for calyces and landmarks, curves for a centerline."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +36,11 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
     """The markups of a file; RAS files are turned to LPS, points without a defined place are left out.
 
     Raises:
-        InputError: missing, not such a file, in units other than mm, or without a point.
+        InputError: missing, not such a file, in units other than mm, or without a point; see `_markup`.
     """
     try:
         data = read_json(Path(path), "markups")
-        markups = tuple(_markup(m) for m in data["markups"])
+        markups = tuple(_markup(m, Path(path)) for m in data["markups"])
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
@@ -52,14 +53,26 @@ def read_markups(path: Path | str) -> tuple[Markup, ...]:
     return markups
 
 
-def _markup(data: dict[str, Any]) -> Markup:
+def _markup(data: dict[str, Any], path: Path) -> Markup:
+    """One markup; its coordinate system and unit are those of the format's definition where it says none, said so."""
+    if data["controlPoints"] and (unsaid := [k for k in ("coordinateSystem", "coordinateUnits") if k not in data]):
+        warnings.warn(
+            f"{path} does not say its {' and '.join(unsaid)}: by the format's definition LPS and mm are taken.",
+            stacklevel=3,
+        )
     system, units = str(data.get("coordinateSystem", "LPS")).upper(), data.get("coordinateUnits", "mm")
     if system not in ("LPS", "0", "RAS", "1") or not _in_mm(units):
-        raise InputError(f"Markups in {system} and {units} are not understood; save them in LPS or RAS and mm.")
+        raise InputError(
+            f"The markups in {path} are in {system} and {units}, which are not understood; save them in LPS or RAS and "
+            "mm."
+        )
     points = [p for p in data["controlPoints"] if p.get("positionStatus", "defined") == "defined"]
     at = np.array([p["position"] for p in points], float).reshape(-1, 3)
-    if not np.all(np.isfinite(at)):
-        raise InputError("A control point is not finite; place it again in 3D Slicer.")
+    if len(wrong := np.flatnonzero(~np.isfinite(at).all(axis=1))):
+        raise InputError(
+            f"{path}: control point {wrong[0] + 1} is at {at[wrong[0]].tolist()}, which is no place; place it again in "
+            "3D Slicer."
+        )
     if system in ("RAS", "0"):  # Slicer's old files number them: 0 is RAS, 1 is LPS
         at = apply(T_RAS_LPS, at)
     return Markup(str(data.get("type", "Fiducial")), tuple(str(p.get("label", "")) for p in points), at)

@@ -81,7 +81,7 @@ def segment_scan(
             f"unenhanced={beside.unenhanced} is a label map; stones are told by density: give the CT before contrast."
         )
     found = scan_lumen(path, settings, progress)
-    kidney = name_kidney(found, beside.calyces, beside.centerline)
+    kidney = name_kidney(found, beside.calyces, beside.centerline, settings.calyces_unit)
     stones = calcified_stones(found, plain)
     with whole_folder(out, overwrite) as work:
         _write_all(found, kidney, work, settings.frame, stones.sentence)

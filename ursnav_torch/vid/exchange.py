@@ -13,6 +13,7 @@ from ursnav_torch.files import check_output, is_file, whole_folder, write_csv, w
 from ursnav_torch.geometry import Array, check_rigid, transform_from_unity, transform_to_unity
 from ursnav_torch.kidney import Kidney, LumenDistance, observed_calyx
 from ursnav_torch.tables import Row, number, read_csv
+from ursnav_torch.units import check_in_box
 from ursnav_torch.vid.base import Vid, image_name
 from ursnav_torch.vid.plan import Plan
 from ursnav_torch.vid.store import poses_from_rows
@@ -45,6 +46,9 @@ class CollectedViews:
         Raises:
             InputError: a calyx is not among the kidney's, or views stand outside its lumen.
         """
+        check_in_box(
+            self.T_kidney_camera[:, :3, 3], kidney.mesh.bounds, f"The {len(self.T_kidney_camera)} views of {self.path}"
+        )
         outside = lumen.clearance_mm(self.T_kidney_camera[:, :3, 3]) < -_OUTSIDE_MM * kidney.scale
         if outside.any():
             raise InputError(

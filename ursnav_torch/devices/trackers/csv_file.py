@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.devices.base import EmTracker, SourceAtEndError, TrackerSample, Vector3
-from ursnav_torch.em_log import EmFormat, read_em_samples
+from ursnav_torch.em_log import EmFormat, check_clock, read_em_samples
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 
 
@@ -21,7 +21,7 @@ class CsvTracker(EmTracker):
         em_unit: of its lengths, where it does not say it, see `EmFormat`.
 
     Raises:
-        InputError: the file cannot be used; its times must not run backwards.
+        InputError: the file cannot be used; its times must not run backwards or stand still.
     """
 
     def __init__(self, path: str | Path, speed: float = 1.0, rate_hz: float = 40.0, em_unit: str | None = None) -> None:
@@ -35,6 +35,7 @@ class CsvTracker(EmTracker):
             raise InputError(f"{self.path}: t_s is blank in data row {int(np.isnan(times).argmax()) + 1}; fill it.")
         if np.any(np.diff(times) < 0):
             raise InputError(f"{self.path}: the column t_s runs backwards; sort the rows by time.")
+        check_clock(samples)
         if np.isnan(samples.axis[samples.seen]).any():
             raise InputError(f"{self.path}: the axis dx,dy,dz is missing or zero in rows where the sensor was visible.")
         self._times: list[float] = times.tolist()
