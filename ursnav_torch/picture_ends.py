@@ -10,6 +10,21 @@ _EOI, _SOS = 0xD9, 0xDA
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
+#: How files of other kinds begin that people take for pictures: from which byte on, and what they are.
+_OTHERS = (
+    (0, b"GIF8", "a GIF"), (8, b"WEBP", "a WebP"), (4, b"ftyphei", "a HEIC"), (4, b"ftypavif", "an AVIF"),
+    (4, b"ftyp", "a video"), (128, b"DICM", "a DICOM file"), (0, b"%PDF", "a PDF"), (0, b"version https://git-lfs",
+    "a pointer of Git LFS"), (0, b"<", "a page of the web"), (0, b"P6", "a PPM"), (0, b"P5", "a PGM"),
+)  # fmt: skip
+
+
+def what_else(data: bytes) -> str:
+    """What a file is that is none of the kinds of pictures that are read; "" where it does not begin as any does."""
+    if not data:
+        return "empty"
+    return next((what for at, mark, what in _OTHERS if data[at : at + len(mark)] == mark), "")
+
+
 def picture_end(data: bytes) -> int | None:
     """How many bytes of a JPEG or PNG belong to its first picture; None where its end is missing, 0 for other kinds."""
     if data[:3] == b"\xff\xd8\xff":

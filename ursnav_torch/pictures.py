@@ -79,3 +79,18 @@ def _declared(encoded: bytes) -> tuple[int | None, int]:
                 page = file.pages.first
                 return int(page.imagewidth) * int(page.imagelength), len(file.pages)
     return None, 1
+
+
+def to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """A picture (H, W) or (H, W, 3 or 4) as uint8 without transparency; deeper ones are scaled by their own maximum.
+
+    What is below 0 is black.
+    """
+    if image.ndim == 3:
+        image = image[..., 0] if image.shape[2] == 1 else image[..., :3]
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image, np.uint8)
+    x = np.maximum(image.astype(np.float64 if image.dtype.itemsize > 4 else np.float32), 0)
+    top = float(x.max())
+    x *= 255 / top if top > 1e-30 else 0
+    return np.rint(x, out=x).astype(np.uint8)

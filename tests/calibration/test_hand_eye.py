@@ -105,6 +105,7 @@ def test_the_runner_writes_what_track_takes(run: Callable[..., Any], tmp_path: P
     done = run("calibrate_tip", *files)
     assert done.code == 0, done.err
     assert "sensor in the camera frame" in done.out
+    assert "1199 of 1200 pictures with a pose have an EM reading (by time)" in done.out
     place, late = read_tip(tmp_path / "tip.json")
     np.testing.assert_allclose(place, offset, atol=0.5)
     assert abs(late - ahead) < 0.01

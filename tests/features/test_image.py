@@ -131,6 +131,16 @@ def test_a_file_with_several_pictures_is_refused_with_their_number(tmp_path: Pat
     assert read_image(tmp_path / "one.tif").shape == (20, 30)
 
 
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [(b"", "empty"), (b"GIF89a..", "a GIF"), (b"RIFF....WEBPVP8 ", "a WebP"), (bytes(128) + b"DICM", "a DICOM file")],
+)
+def test_files_that_are_no_such_pictures_are_named_as_what_they_are(tmp_path: Path, data: bytes, what: str) -> None:
+    (tmp_path / "x.png").write_bytes(data)
+    with pytest.raises(InputError, match=rf"x\.png is {what} by its bytes and not a readable picture"):
+        read_image(tmp_path / "x.png")
+
+
 def test_the_given_stack_is_refused(cases: Path) -> None:
     with pytest.raises(InputError, match="holds 3 pictures"):
         read_image(cases / "17-tiff-stack" / "15_stack.tif")

@@ -165,6 +165,11 @@ def test_a_binary_stl_may_call_itself_solid(files: Path, tmp_path: Path) -> None
         ("a.obj", "solid\0\0", "is no text, and no OBJ"),
         ("a.obj", "v 1,5 2,5 3,5\nv 1,5 2,5 3,5\n", "has decimal commas"),
         ("a.ply", "ply\nend_header\n1,5 2,5 3,5\n", "has decimal commas"),
+        (
+            "a.ply",
+            "ply\nformat ascii 1.0\nelement vertex 3\nelement face 1\nend_header\n0 0 0\n1 0 0\n0 1",
+            "ends before its data do: its header counts 4 lines, and it holds 3",
+        ),
     ],
 )
 def test_files_of_another_kind_than_their_name_says_are_told(tmp_path: Path, name: str, text: str, reason: str) -> None:

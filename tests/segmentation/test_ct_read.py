@@ -67,7 +67,8 @@ def test_a_bomb_is_refused_before_memory_is_taken(scan: Scan, tmp_path: Path) ->
     header = bytearray((tmp_path / "a.nii").read_bytes()[:352])
     struct.pack_into("<4h", header, 40, 3, 30000, 30000, 30000)
     (tmp_path / "bomb.nii.gz").write_bytes(gzip.compress(bytes(header) + bytes(1 << 20)))
-    nrrd = "NRRD0004\ntype: short\ndimension: 3\nsizes: 90000 90000 90000\nencoding: gzip\nendian: little\n\n"
+    lies = "space: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (0,0,0)\n"
+    nrrd = f"NRRD0004\ntype: short\ndimension: 3\nsizes: 90000 90000 90000\n{lies}encoding: gzip\nendian: little\n\n"
     (tmp_path / "bomb.nrrd").write_bytes(nrrd.encode() + gzip.compress(b""))
     tracemalloc.start()
     for name in ("bomb.nii.gz", "bomb.nrrd"):

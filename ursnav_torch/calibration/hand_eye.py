@@ -13,7 +13,7 @@ least squares) was tried and is worse: it looks at changes from picture to pictu
 error, and so draws the sensor to the camera.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,7 @@ class TipCalibration:
         em_offset_s: the log's clock when the pictures' shows zero, and its standard deviation.
         T_kidney_em: (4, 4) the registration that goes with it.
         n: pictures with a reading that were used. astray: those left out, since their poses are far off.
+        posed: pictures with a pose, with or without a reading.
         rms_mm: of the positions' residuals.
     """
 
@@ -73,6 +74,7 @@ class TipCalibration:
     T_kidney_em: Array
     n: int
     astray: int
+    posed: int
     rms_mm: float
 
 
@@ -95,6 +97,7 @@ def calibrate_tip(T_kidney_camera: Array, t_s: Array, samples: EmSamples) -> Tip
             more than one axis, and move.
     """
     problem = tip_problem(T_kidney_camera, t_s, samples)
+    posed = len(problem.t_s)
     offset_s, used = _coarse_offset(problem)
     problem = problem.only(used)
     check_size(problem, samples.source)
@@ -103,7 +106,7 @@ def calibrate_tip(T_kidney_camera: Array, t_s: Array, samples: EmSamples) -> Tip
     rms_mm = float(np.sqrt(np.mean(np.sum((raw[:, :3] * _POSITION_MM) ** 2, axis=1))))
     found = _result(fit.x, _deviations(fit, problem), problem, rms_mm, int(used.sum()))
     _check(found)
-    return found
+    return replace(found, posed=posed)
 
 
 def _coarse_offset(problem: TipProblem) -> tuple[float, NDArray[np.bool_]]:
@@ -225,7 +228,7 @@ def _result(x: Array, sd: Array, problem: TipProblem, rms_mm: float, had: int) -
         offset_mm=x[6:9], offset_sd_mm=spread, axis=axis if known else np.full(3, np.nan),
         axis_sd_deg=float(np.degrees(np.sqrt(np.sum(across**2) * 2 / 3))) if known else float("nan"),
         R_camera_sensor=_orientation(R, problem, float(x[12])), em_offset_s=float(x[12]), em_offset_sd_s=float(sd[12]),
-        T_kidney_em=T, n=len(problem.t_s), astray=had - len(problem.t_s), rms_mm=rms_mm,
+        T_kidney_em=T, n=len(problem.t_s), astray=had - len(problem.t_s), posed=had, rms_mm=rms_mm,
     )  # fmt: skip
 
 

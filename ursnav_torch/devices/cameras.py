@@ -19,7 +19,7 @@ from ursnav_torch import camera as lenses
 from ursnav_torch.devices.base import CameraDevice, Frame, SourceAtEndError
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
 from ursnav_torch.inputs import read_regular
-from ursnav_torch.pictures import MOST_BYTES, decode_picture
+from ursnav_torch.pictures import MOST_BYTES, decode_picture, to_8_bit
 
 logger = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -260,9 +260,7 @@ def decode_image(encoded: bytes, where: str) -> Image:
     image = decode_picture(encoded, where)
     if image is None:
         raise InputError(f"{where} is not a picture that can be read.")
-    if image.dtype != np.uint8:
-        image = cv2.convertScaleAbs(image, alpha=255.0 / max(float(image.max()), 1.0))
-    return np.asarray(image if image.ndim == 2 else np.ascontiguousarray(image[..., :3]), np.uint8)
+    return to_8_bit(image)
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

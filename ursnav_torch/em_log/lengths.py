@@ -41,7 +41,7 @@ def check_lengths(position_mm: Array, t_s: Array | None, source: str, form: EmFo
     if 0 < spread < _STILL_MM:
         raise InputError(
             f"The {len(seen)} positions of {source} lie within {spread:.2g} mm, closer than a sensor that is held "
-            "still. If they are in meters, say em_unit=m; if they are right, em_unit=mm."
+            "still. If they are in meters, say em_unit=m (or cm, in); if they are right, em_unit=mm."
         )
     known = np.array([]) if t_s is None else t_s[np.isfinite(t_s)]
     lasted = min(float(np.ptp(known)) if len(known) else np.inf, len(seen) / _RATE_HZ)

@@ -10,8 +10,8 @@ from torch import Tensor
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.inputs import read_regular
-from ursnav_torch.picture_ends import picture_end
-from ursnav_torch.pictures import MOST_BYTES, decode_picture
+from ursnav_torch.picture_ends import picture_end, what_else
+from ursnav_torch.pictures import MOST_BYTES, decode_picture, to_8_bit
 
 #: File name endings that runners take for pictures.
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -38,10 +38,11 @@ def image_from_bytes(data: bytes, where: str) -> NDArray[np.uint8]:
         raise InputError(f"The image {where} is cut short ({len(data)} bytes, its end is missing); copy it again.")
     image = decode_picture(data, where)
     if image is None:
-        raise InputError(f"{where} is not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
+        kind = f"is {kind} by its bytes and" if (kind := what_else(data)) else "is"
+        raise InputError(f"{where} {kind} not a readable picture ({len(data)} bytes); expected png, jpg, bmp or tif.")
     if not np.isfinite(image).all():
         raise InputError(f"{where} holds gray values that are not finite numbers; save it as 8 or 16 bits.")
-    return _to_8_bit(image[..., :3] if image.ndim == 3 and image.shape[2] == 4 else image)
+    return to_8_bit(image)
 
 
 def check_image(image: NDArray[np.uint8], camera: Camera) -> None:
@@ -73,14 +74,3 @@ def signal(image: NDArray[np.uint8]) -> Tensor:
         return x
     weight = x.mean((0, 1)).square() + 1e-6
     return x @ (weight / weight.sum())
-
-
-def _to_8_bit(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[..., 0]
-    if image.dtype == np.uint8:
-        return image.astype(np.uint8, copy=False)
-    x = np.maximum(image.astype(np.float64 if image.dtype.itemsize > 4 else np.float32), 0)
-    top = float(x.max())
-    x *= 255 / top if top > 1e-30 else 0
-    return np.rint(x, out=x).astype(np.uint8)

@@ -139,8 +139,21 @@ def _check_kind(path: Path) -> None:
         other = "text without the word solid"
     if other is not None:
         raise InputError(f"{path} is {other}, and no {kind}; export or copy the mesh again.")
+    if kind == "PLY" and b"format ascii" in head:
+        _check_ascii_ply(path.read_bytes(), path)
     if b"\0" not in head and _DECIMAL_COMMA.search(head):
         raise InputError(f"{path} has decimal commas; export it with decimal points, or as binary STL.")
+
+
+def _check_ascii_ply(data: bytes, path: Path) -> None:
+    """Refuse an ASCII PLY of fewer lines than its header counts: its reader leaves out what is missing."""
+    head, _, body = data.partition(b"end_header")
+    counted = sum(int(count) for count in re.findall(rb"element \w+ (\d{1,9})\s", head))
+    if (there := len(body.split(b"\n")) - 1 - body.endswith(b"\n")) < counted:
+        raise InputError(
+            f"{path} ends before its data do: its header counts {counted} lines, and it holds {there}. Copy or export "
+            "it again."
+        )
 
 
 def _check_text(data: bytes, path: Path) -> None:

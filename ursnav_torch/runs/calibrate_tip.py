@@ -88,8 +88,8 @@ def tip_summary(found: TipCalibration, offset_s: float = 0.0) -> str:
     """A few lines for people."""
     place = ", ".join(f"{v:.2f} ± {s:.2f}" for v, s in zip(found.offset_mm, found.offset_sd_mm, strict=True))
     lines = [
-        f"{found.n} pictures with an EM reading used, {found.astray} whose poses are far off left out; "
-        f"residual {found.rms_mm:.2f} mm (RMS)",
+        f"{found.n + found.astray} of {found.posed} pictures with a pose have an EM reading (by time); {found.astray} "
+        f"whose poses are far off were left out; residual {found.rms_mm:.2f} mm (RMS)",
         f"sensor in the camera frame: {place} mm",
         f"EM clock ahead of the pictures' by {found.em_offset_s + offset_s:.3f} ± {found.em_offset_sd_s:.3f} s",
     ]

@@ -121,12 +121,15 @@ def check_alike(slices: list[Slice], folder: Path) -> None:
         InputError: they differ in size, direction, pixel size, patient, study or frame of reference.
     """
     sizes = Counter(s.size for s in slices)
-    directions = Counter(tuple(np.round(s.orientation, 3).ravel().tolist()) for s in slices)
+    directions = Counter(_rounded(s) for s in slices)
     if len(sizes) > 1 or len(directions) > 1:
         texts = ", ".join(f"{n} of {' x '.join(map(str, size[:2]))}" for size, n in sizes.most_common())
+        usual = sizes.most_common(1)[0][0], directions.most_common(1)[0][0]
+        odd = next(s for s in slices if (s.size, _rounded(s)) != usual)
         raise InputError(
             f"{folder} mixes slices of {len(sizes)} sizes ({texts}) and {len(directions)} directions in one series, "
-            "perhaps with a localizer or a reconstruction. Leave only the axial slices there."
+            f"perhaps with a localizer or a reconstruction ({Path(odd.path).name} is unlike most). Leave only the "
+            "axial slices there."
         )
     other = next((s for s in slices if not np.allclose(s.spacing, slices[0].spacing, rtol=1e-3)), None)
     if other is not None:
@@ -141,6 +144,10 @@ def check_alike(slices: list[Slice], folder: Path) -> None:
                 f"{folder} mixes slices of {len(found)} {what} ({', '.join(map(repr, found[:3]))}) in one series. "
                 "Leave those of one scan there, or export the series again."
             )
+
+
+def _rounded(one: Slice) -> tuple[float, ...]:
+    return tuple(np.round(one.orientation, 3).ravel().tolist())
 
 
 def in_order(slices: list[Slice], folder: Path) -> list[Slice]:
