@@ -4,6 +4,10 @@ A message says what was wrong, the value that was found, what is accepted and wh
 Runners print it as one paragraph and exit with 1.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class UrsnavError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -43,3 +47,14 @@ class DeviceTimeoutError(DeviceError, TimeoutError):
 
 class DeviceProtocolError(DeviceError):
     """The device answered something that its protocol does not allow."""
+
+
+@contextmanager
+def naming(file: str | Path) -> Iterator[None]:
+    """Within it, refusals of points that do not know where they came from begin with their file."""
+    try:
+        yield
+    except (InputError, RegistrationError, ShapeError) as error:
+        if str(file) in str(error):
+            raise
+        raise type(error)(f"{file}: {error}") from None

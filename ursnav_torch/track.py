@@ -82,7 +82,7 @@ def _besides(config: Any, bounds_mm: Any) -> Any:
     from ursnav_torch.runs.track_files import Besides, read_truth
     from ursnav_torch.stones import read_known_stones
 
-    truth = None if config.truth is None else read_truth(caller_path(config.truth))
+    truth = None if config.truth is None else read_truth(caller_path(config.truth), bounds_mm)
     read = [config[key] for key in PATHS if config[key] is not None]
     inputs = tuple(caller_path(path) for path in read if path != "camera")
     known: Any = ()

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import InputError, RegistrationError, naming
 from ursnav_torch.kidney import Kidney, read_calyces
 from ursnav_torch.kidney.tables import check_given
 from ursnav_torch.registration import read_landmarks
 from ursnav_torch.registration.readings import check_em_unit
+from ursnav_torch.runs.track_files import read_truth
 from ursnav_torch.stones import read_known_stones
 from ursnav_torch.units import LENGTH_MM, check_in_box
 
@@ -111,6 +112,21 @@ def test_readings_that_belong_to_the_pictures_in_another_unit_are_asked_about(un
         match=rf"4 positions of em\.csv are \d+ mm from where .* near if they are in .*{unit}.*say em_unit=",
     ):
         check_em_unit(em / LENGTH_MM[unit], away, "em.csv")
+
+
+def test_true_poses_in_centimeters_are_told(tmp_path: Path) -> None:
+    box = BOXES["in a scan"]
+    head, turns = "x_mm,y_mm,z_mm,qx,qy,qz,qw", np.tile([0.0, 0, 0, 1], (4, 1))
+    path = table(tmp_path / "t.csv", head, [""] * 4, (box[0] + POINTS * (box[1] - box[0])) / 10, turns)
+    with pytest.raises(InputError, match=r"4 poses of .*t\.csv lie outside .*in cm: write them in mm"):
+        read_truth(path, box)
+
+
+def test_a_refusal_of_points_names_their_file() -> None:
+    with pytest.raises(RegistrationError, match=r"^l\.csv: Landmarks are collinear"), naming("l.csv"):
+        raise RegistrationError("Landmarks are collinear")
+    with pytest.raises(InputError, match=r"^The file l\.csv"), naming("l.csv"):
+        raise InputError("The file l.csv")
 
 
 def test_a_phantoms_own_calyces_are_in_its_box(phantom: Kidney) -> None:

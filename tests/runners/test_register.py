@@ -115,3 +115,10 @@ def test_a_path_is_laid_into_the_kidney_of_a_vid(run: Callable[..., Any], vid: V
     found = Registration.from_json(out)
     error = found.apply(columns[:, 1:4]) - sensor
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 3.0
+
+
+def test_a_refusal_names_the_landmarks_file(run: Callable[..., Any], tmp_path: Path) -> None:
+    head = "kidney_x_mm,kidney_y_mm,kidney_z_mm,em_x_mm,em_y_mm,em_z_mm"
+    (tmp_path / "two.csv").write_text(f"{head}\n0,0,0,0,0,0\n30,0,0,30,0,0\n")
+    done = run("register", f"landmarks={tmp_path / 'two.csv'}", "out=r.json")
+    assert done.code == 1 and "two.csv: 2 landmark pairs do not fix a rotation" in done.err.replace("\n", " ")

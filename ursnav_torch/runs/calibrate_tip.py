@@ -9,7 +9,7 @@ from ursnav_torch.calibration.hand_eye import TipCalibration, calibrate_tip
 from ursnav_torch.columns import POSE_COLUMNS
 from ursnav_torch.devices import TrackerSample
 from ursnav_torch.em_log import EmFormat, EmSamples, check_clock, check_pace, read_em_samples
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import InputError, naming
 from ursnav_torch.geometry import Array, transform_from_quaternion
 from ursnav_torch.records import read_json
 from ursnav_torch.runs.track_files import read_track
@@ -30,7 +30,8 @@ def tip_of_track(track: Path, em: Path, form: EmFormat | None = None) -> TipCali
     check_clock(samples)
     if form is None or form.time_unit is None:
         check_pace(samples)
-    return calibrate_tip(T, rows.t_s, samples)
+    with naming(f"{track} and {em}"):
+        return calibrate_tip(T, rows.t_s, samples)
 
 
 def tip_of_session(record: Path) -> TipCalibration:
@@ -49,7 +50,8 @@ def tip_of_session(record: Path) -> TipCalibration:
             raise InputError(f"The session {record} holds no {what}.")
     values = np.array([[float(row[name]) for name in POSE_COLUMNS] for row in rows])
     T = transform_from_quaternion(values[:, :3], values[:, 3:])
-    return calibrate_tip(T, np.array([float(row["t_s"]) for row in rows]), _samples(readings, str(record)))
+    with naming(record):
+        return calibrate_tip(T, np.array([float(row["t_s"]) for row in rows]), _samples(readings, str(record)))
 
 
 def _samples(readings: list[TrackerSample], source: str) -> EmSamples:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ursnav_torch.em_log import EmSamples
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import InputError, naming
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.registration.centerline import register_centerline
 from ursnav_torch.registration.files import read_landmarks
@@ -45,9 +45,10 @@ def landmarks_job(
     em = pairs.em_mm
     if reach_mm and pairs.em_axis is None:
         raise InputError(f"reach_mm={reach_mm} needs the columns em_dx,em_dy,em_dz (the sensor's axis) in {landmarks}.")
-    if reach_mm and pairs.em_axis is not None:
-        em = touched_points(em, pairs.em_axis, reach_mm)
-    found = register_landmarks(em, pairs.kidney_mm, with_scale=with_scale, ransac=ransac)
+    with naming(landmarks):
+        if reach_mm and pairs.em_axis is not None:
+            em = touched_points(em, pairs.em_axis, reach_mm)
+        found = register_landmarks(em, pairs.kidney_mm, with_scale=with_scale, ransac=ransac)
     return found if kidney is None else replace(found, model_scale=kidney.scale)
 
 
@@ -65,9 +66,10 @@ def surface_job(
         InputError, RegistrationError: as `register_surface` does; or the points or the kidney are missing.
     """
     samples, kidney = _points_and_kidney("surface", landmarks, points, kidney)
-    found = register_surface(
-        samples.position_mm, kidney.mesh, axis_em=samples.axis, trim=trim, max_error_mm=max_error_mm
-    )
+    with naming(samples.source):
+        found = register_surface(
+            samples.position_mm, kidney.mesh, axis_em=samples.axis, trim=trim, max_error_mm=max_error_mm
+        )
     return replace(found, model_scale=kidney.scale)
 
 
@@ -85,14 +87,15 @@ def centerline_job(
         InputError, RegistrationError: as `register_centerline` does; or the points or the kidney are missing.
     """
     samples, kidney = _points_and_kidney("centerline", landmarks, points, kidney)
-    found = register_centerline(
-        samples.position_mm,
-        samples.axis,
-        kidney.mesh,
-        kidney.centerline,
-        sensor_offset_mm=sensor_offset_mm,
-        max_error_mm=max_error_mm,
-    )
+    with naming(samples.source):
+        found = register_centerline(
+            samples.position_mm,
+            samples.axis,
+            kidney.mesh,
+            kidney.centerline,
+            sensor_offset_mm=sensor_offset_mm,
+            max_error_mm=max_error_mm,
+        )
     return replace(found, model_scale=kidney.scale)
 
 

@@ -16,6 +16,7 @@ from ursnav_torch.results import WholeSet
 from ursnav_torch.stones import KnownStone
 from ursnav_torch.tables import number, read_csv, whole_number
 from ursnav_torch.tracking.tracker import TRACKING
+from ursnav_torch.units import check_in_box
 from ursnav_torch.vid import poses_from_rows
 
 Array = NDArray[np.float64]
@@ -63,15 +64,18 @@ class Truth:
     calyx: list[str] | None
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path, box_mm: Array | None = None) -> Truth:
     """A CSV file with the seven pose columns and perhaps ``calyx``, a row a picture from the first on.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: it cannot be read, or lies in the kidney's box (2, 3) in another unit than mm alone.
     """
     rows = read_csv(path, POSE_COLUMNS, "truth")
     calyx = [row["calyx"] for row in rows] if "calyx" in rows[0] else None
-    return Truth(poses_from_rows(rows), calyx)
+    T = poses_from_rows(rows)
+    if box_mm is not None:
+        check_in_box(T[:, :3, 3], box_mm, f"The {len(T)} poses of {path}")
+    return Truth(T, calyx)
 
 
 def score_track(track: TrackFile, truth: Truth) -> dict[str, float | int | None]:
