@@ -32,6 +32,7 @@ def test_all_zero_and_ndis_word_for_no_number_are_a_sensor_not_seen():
     assert SensorPose.from_quaternion([0, 0, 0, 0], HERE) is None
     assert unpack_position(struct.pack(">7f", -3.697314e28, 0, 0, 0, 0, 0, 1)) is None
     assert SensorPose.from_matrix(np.eye(3), [0, 0, 1.001 * FARTHEST_MM]) is None
+    assert SensorPose.from_matrix(np.eye(3), [-9999.0] * 3) is None
 
 
 @pytest.mark.parametrize("R", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.ones((3, 3)), np.diag([1.0, 1.0, 0.0])])

@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.devices.base import Stamp, TrackerSample, Vector3
+from ursnav_torch.em_log.seen import FIELD_MM
 from ursnav_torch.errors import DeviceProtocolError
 
-#: No tracker measures farther than this; NDI's word for "no number" is -3.697314e28, others send 1e30.
-FARTHEST_MM = 10_000.0
+#: No tracker measures farther than this; NDI's word for "no number" is -3.697314e28, others send 1e30 or -9999.
+FARTHEST_MM = FIELD_MM
 #: Rotations come as 32-bit floats, rounded once more by whoever passed them on.
 RIGID = 1e-2
 

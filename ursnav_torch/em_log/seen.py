@@ -17,7 +17,7 @@ NO_NUMBER = 1e6
 NO_READING = {"", "-", "nan", "na", "n/a", "#n/a", "null", "none", "missing",
               "inf", "-inf", "+inf", "infinity", "-infinity"}  # fmt: skip
 #: No field generator reaches farther, mm; what one value repeats beyond it (-9999) means "not visible", too.
-_FIELD_MM = 5000.0
+FIELD_MM = 5000.0
 #: Zeros are a reading where others come this near to the EM frame's origin, mm.
 _NEAR_ORIGIN_MM = 10.0
 
@@ -58,12 +58,12 @@ def in_field(position_mm: Array, rows: list[Row]) -> BoolArray:
     Raises:
         InputError: positions beyond any field that differ, so that they are no word for "not visible".
     """
-    far = np.abs(np.nan_to_num(position_mm)).max(axis=1) > _FIELD_MM
+    far = np.abs(np.nan_to_num(position_mm)).max(axis=1) > FIELD_MM
     if far.any() and len(np.unique(np.nan_to_num(position_mm[far]), axis=0)) > 2:
         row, at = rows[int(far.argmax())], np.round(position_mm[far][0], 1).tolist()
         raise InputError(
             f"{row.path}, line {row.line}: the position {at} mm is farther away than any tracker reaches "
-            f"({_FIELD_MM:.0f} mm). If the columns are in another unit, say which: em_unit=mm, cm, m or in."
+            f"({FIELD_MM:.0f} mm). If the columns are in another unit, say which: em_unit=mm, cm, m or in."
         )
     return np.isfinite(position_mm).all(axis=1) & ~far
 
