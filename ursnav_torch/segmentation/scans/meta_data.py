@@ -1,13 +1,12 @@
 """Whether a MetaImage's data are whole: its reader returns what lies in memory where packed ones are damaged."""
 
+import math
 import zlib
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from ursnav_torch.errors import InputError
-from ursnav_torch.segmentation.scans.text_headers import header_fields
+from ursnav_torch.segmentation.scans.text_headers import header_fields, header_numbers
 
 #: Bytes an element of a type takes, MET_ left out.
 _BYTES = {
@@ -38,8 +37,8 @@ def check_meta_data(path: Path) -> None:
         raise InputError(f"{path} names its data {name}, and there is no such file beside it: copy it, too.")
     if local and packed and "compresseddatasize" not in fields:
         raise InputError(f"{path} does not say how long its packed data are (CompressedDataSize); export it again.")
-    channels = int(fields.get("elementnumberofchannels", "1") or 1)
-    wanted = int(np.prod([int(n) for n in fields["dimsize"].split()], dtype=object)) * channels * each
+    counts = header_numbers(f"{fields.get('dimsize', '')} {fields.get('elementnumberofchannels', '1')}")
+    wanted = each * math.prod(int(n) for n in counts)
     with data.open("rb") as file:
         if local:
             _to_data(file)

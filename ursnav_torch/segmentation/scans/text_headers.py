@@ -32,7 +32,7 @@ def nrrd_said(path: Path) -> Said:
     """
     fields = header_fields(path, ":", b"NRRD")
     directions = _vectors(fields.get("space directions", ""))
-    spacings = _numbers(fields.get("spacings", ""))
+    spacings = header_numbers(fields.get("spacings", ""))
     _check_space(fields, bool(len(directions)), path)
     spacing = len(directions) >= 3 or int(np.sum(spacings > 0)) >= 3
     orientation = len(directions) >= 3 and fields.get("space", "").lower() in _PATIENT_SPACES
@@ -75,14 +75,18 @@ def meta_said(path: Path) -> Said:
             f"{path} is a sequence that Plus recorded, pictures and poses over time (Seq_Frame...), and no scan. Give "
             "the volume that was reconstructed of it, or the CT."
         )
-    sizes = _numbers(fields.get("elementspacing", fields.get("elementsize", "")))
+    sizes = header_numbers(fields.get("elementspacing", fields.get("elementsize", "")))
     matrix = next((fields[key] for key in ("transformmatrix", "rotation", "orientation") if key in fields), None)
     named = fields.get("anatomicalorientation", "").upper()
     offset = next((fields[key] for key in ("offset", "position", "origin") if key in fields), "nan")
     placed = "nan" not in offset.lower()
     lies = matrix is not None or named == _AS_IT_IS  # a reader goes by the matrix alone, and without one by this
     notes = [_no_origin(path)] if lies and not placed else []
-    if matrix is not None and re.fullmatch("[RLAPSI]{3}", named) and named != (told := _from_sides(_numbers(matrix))):
+    if (
+        matrix is not None
+        and re.fullmatch("[RLAPSI]{3}", named)
+        and named != (told := _from_sides(header_numbers(matrix)))
+    ):
         notes.append(f"{path.name} tells two orientations: {named} by name and {told} by its matrix, which is used")
     unit = fields.get("distanceunits", "").lower().strip("?\"' ")
     return Said(int(np.sum(sizes > 0)) >= 3, lies, _unit({unit} - {""}, path), 1.0, tuple(notes))
@@ -121,7 +125,7 @@ def header_fields(path: Path, sign: str, magic: bytes) -> dict[str, str]:
     return fields
 
 
-def _numbers(text: str) -> np.ndarray:
+def header_numbers(text: str) -> np.ndarray:
     """The numbers of a text, 0 for those that are not finite; none where a word is no number."""
     return np.nan_to_num(_words(text), posinf=0.0, neginf=0.0)
 
