@@ -6,9 +6,12 @@ Every kind of fault has further inputs of our own making, kept with the room tha
 kind what is wrong                                  inputs of our own
 ==== ============================================= ===========================================================
 A    geometry that a file lacks is filled in        segmentation/test_scan_headers: no spacing, no orientation,
-                                                    two spacings, other units, a named orientation alone
+                                                    two spacings, other units, a named orientation alone, places
+                                                    that are no numbers; ground_floor/test_units: centimeters,
+                                                    inches, meters under names in mm
 B    a lens is not checked for sense                camera/test_lens_files: folds, another resolution, columns
-                                                    for rows, skew, radians, distortion in others' words
+                                                    for rows, skew, radians, distortion in others' words or of no
+                                                    model
 C    EM tables are joined and trusted blindly       em_log/test_read_em and test_join: units, clocks, numbers
                                                     from 1, a clock that jumps back, -1 and 999, frozen readings;
                                                     test_plausible: units that the columns lie about, clocks that
@@ -16,12 +19,14 @@ C    EM tables are joined and trusted blindly       em_log/test_read_em and test
 D    trackers' words for "not seen"                 devices/test_openigtlink, test_ndi, test_ros, test_wire,
                                                     em_log/test_sequence
 E    "truncated" is guessed                         segmentation/test_dicom: three compressions, reports,
-                                                    enhanced files; test_scan_headers: slopes, packed by name;
+                                                    enhanced files; test_scan_headers: slopes, packed by name,
+                                                    damaged and not short, a MetaImage's packed or separate data;
                                                     features/test_image: bytes behind a picture's end
 F    several things in one file                     features/test_image: pages, MPO, animated PNG; segmentation:
                                                     phases, series, patients, values a voxel; camera: two cameras
 G    the wrong cause is named                       devices/test_grbl: greetings, axes; kidney/test_mesh_kidney:
-                                                    bytes after; segmentation/test_ct_markups: units; separators
+                                                    bytes after, files of another kind than their name says;
+                                                    segmentation/test_ct_markups: units; test_dicom: copies; separators
 ==== ============================================= ===========================================================
 
 `test_every_case` gives all given files to the runners that take them.
