@@ -143,5 +143,7 @@ def test_frames_from_1_of_pictures_from_0_are_asked_about(tmp_path: Path) -> Non
 def test_a_clock_that_jumps_back_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "em.csv"
     path.write_text("t_s,x_mm,y_mm,z_mm\n" + "\n".join(f"{i % 6 / 10},{100 + i},{20 - i},7" for i in range(12)))
-    with pytest.raises(InputError, match=r"jumps back from 0\.500 to 0\.000 s: two recordings in one file"):
+    with pytest.raises(
+        InputError, match=r"jumps back from 0\.500 to 0\.000 s between its lines 7 to 8: two recordings in one file"
+    ):
         join_pictures(read_em_samples(path), [f"{i:05d}" for i in range(12)], np.arange(12) / 10)

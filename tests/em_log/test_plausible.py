@@ -57,11 +57,11 @@ def test_a_short_path_is_right_where_it_is_far_from_the_field_generator_or_said_
 @pytest.mark.parametrize(
     ("clock", "where"),
     [
-        (0 * TIMES + 3, "still at 3.000 s over its readings 1 to 300"),
-        (np.minimum(TIMES, 10), "still at 10.000 s over its readings 101 to 300"),
-        (np.maximum(TIMES, 10), "still at 10.000 s over its readings 1 to 101"),
-        (np.where((TIMES > 10) & (TIMES < 20), 10, TIMES), "still at 10.000 s over its readings 101 to 200"),
-        (np.floor(TIMES), "still at 0.000 s over its readings 1 to 10"),
+        (0 * TIMES + 3, "still at 3.000 s over its lines 2 to 301"),
+        (np.minimum(TIMES, 10), "still at 10.000 s over its lines 102 to 301"),
+        (np.maximum(TIMES, 10), "still at 10.000 s over its lines 2 to 102"),
+        (np.where((TIMES > 10) & (TIMES < 20), 10, TIMES), "still at 10.000 s over its lines 102 to 201"),
+        (np.floor(TIMES), "still at 0.000 s over its lines 2 to 11"),
     ],
     ids=["always", "at the end", "at the beginning", "between", "whole seconds"],
 )
@@ -119,7 +119,7 @@ def test_a_clock_that_is_set_by_a_little_is_said(tmp_path: Path) -> None:
     more = np.r_[PATH_MM, PATH_MM[-1:]]
     for ahead in (0.4, 3600.0):
         clock = np.r_[TIMES, 30.0] + ahead * (np.arange(301) > 100)
-        with pytest.warns(UserWarning, match=r"jumps ahead from 10\.000 to .* s at its reading 102"):
+        with pytest.warns(UserWarning, match=r"jumps ahead from 10\.000 to .* s between its lines 102 to 103"):
             joined(log(tmp_path / "em.csv", "t_s,x_mm,y_mm,z_mm", clock, more))
 
 
@@ -147,7 +147,7 @@ def test_sensors_of_one_log_are_told_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("numbers", "reason"),
     [
-        (0 * TIMES + 7, r"300 readings of frame 7, its readings 1 to 300, \d\d mm apart"),
+        (0 * TIMES + 7, r"300 readings of frame 7, its lines 2 to 301, \d\d mm apart"),
         (np.arange(300) % 64, r"readings of frame \d+, .* a counter that begins anew"),
         (np.arange(300) * 2, r"Only 150 of 300 pictures .* by frame number, and 50% of its readings no picture"),
     ],
@@ -180,7 +180,7 @@ def test_readings_that_are_all_the_same_are_refused(tmp_path: Path) -> None:
 
 def test_a_clock_that_stands_beside_frame_numbers_is_named_as_the_reason(tmp_path: Path) -> None:
     path = log(tmp_path / "em.csv", "frame,t_s,x_mm,y_mm,z_mm", np.arange(300), 0 * TIMES + 3, PATH_MM)
-    with pytest.raises(InputError, match=r"em\.csv stands still at 3\.000 s over its readings 1 to 300.*em_join=frame"):
+    with pytest.raises(InputError, match=r"em\.csv stands still at 3\.000 s over its lines 2 to 301.*em_join=frame"):
         joined(path)
 
 

@@ -41,8 +41,9 @@ def check_clock(samples: EmSamples, within_s: float = NEAR_S) -> None:
     pace = float(np.median(steps[steps > 0]))
     if (at := np.flatnonzero(steps < -min(within_s, max(_OVERTAKEN * pace, _OVERTAKEN_S)))).size:
         raise InputError(
-            f"The clock of {samples.source} jumps back from {t[at[0]]:.3f} to {t[at[0] + 1]:.3f} s: two recordings in "
-            "one file? Give the one that belongs to the pictures."
+            f"The clock of {samples.source} jumps back from {t[at[0]]:.3f} to {t[at[0] + 1]:.3f} s between "
+            f"{samples.stretch(rows[at[0]], rows[at[0] + 1])}: two recordings in one file? Give the one that belongs "
+            "to the pictures."
         )
     _check_standing(samples, rows, steps, within_s)
     if (back := steps < 0).any() and len(steps) >= _MANY:
@@ -54,8 +55,9 @@ def check_clock(samples: EmSamples, within_s: float = NEAR_S) -> None:
     ahead = int(steps.argmax())
     if steps[ahead] > max(within_s, _PAUSE * pace):
         warnings.warn(
-            f"The clock of {samples.source} jumps ahead from {t[ahead]:.3f} to {t[ahead + 1]:.3f} s at its reading "
-            f"{rows[ahead + 1] + 1}. If the tracker did not pause there, its later readings are too late.",
+            f"The clock of {samples.source} jumps ahead from {t[ahead]:.3f} to {t[ahead + 1]:.3f} s between "
+            f"{samples.stretch(rows[ahead], rows[ahead + 1])}. If the tracker did not pause there, its later "
+            "readings are too late.",
             stacklevel=3,
         )
 
@@ -77,9 +79,9 @@ def _check_standing(samples: EmSamples, rows: NDArray[np.int64], steps: Array, w
         if len(places) > 1 and np.ptp(places, axis=0).max() > 0:
             assert samples.t_s is not None
             raise InputError(
-                f"The clock of {samples.source} stands still at {samples.t_s[rows[ends[i]]]:.3f} s over its readings "
-                f"{rows[ends[i]] + 1} to {rows[ends[i + 1] - 1] + 1}, in which the sensor moves: nothing says when "
-                "each was taken. Blank those times if only some are wrong; delete the column and give a column frame "
+                f"The clock of {samples.source} stands still at {samples.t_s[rows[ends[i]]]:.3f} s over "
+                f"{samples.stretch(rows[ends[i]], rows[ends[i + 1] - 1])}, in which the sensor moves: nothing says "
+                "when each was taken. Blank those times if only some are wrong; delete the column and give a column frame "
                 "or image (or em_join=frame) if it names the pictures; or export with finer times."
             )
 

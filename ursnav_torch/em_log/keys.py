@@ -69,8 +69,8 @@ def check_keys(samples: EmSamples, named: Rows, ask: bool) -> None:
         apart = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) > 1 else 0.0
         if rows[-1] - rows[0] >= len(rows) or apart > _ONE_PICTURE_MM:
             raise InputError(
-                f"{samples.source} has {len(rows)} readings of {what} {name}, its readings {rows[0] + 1} to "
-                f"{rows[-1] + 1}, {apart:.0f} mm apart: a counter that begins anew or stands still, or two recordings? "
+                f"{samples.source} has {len(rows)} readings of {what} {name}, {samples.stretch(rows[0], rows[-1])}, "
+                f"{apart:.0f} mm apart: a counter that begins anew or stands still, or two recordings? "
                 f"Give each picture its own {what}, or delete the column and join by t_s."
             )
     pictures, readings = float((named >= 0).mean()), 1 - len(set(named[named >= 0])) / max(len(key), 1)

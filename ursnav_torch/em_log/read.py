@@ -70,6 +70,7 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
         key_column=key,
         quaternion=quaternion,
         source=str(path),
+        line=np.array([row.line for row in rows]),
     )
 
 

@@ -60,6 +60,7 @@ class EmSamples:
         key_column: ``image`` or ``frame``, whichever ``key`` comes from.
         quaternion: (N, 4) x, y, z, w of a sensor with six degrees of freedom, NaN where not visible, or None.
         source: the file, for people to read.
+        line: (N,) where in the file each stands, for people to read; None where it has no lines of its own.
     """
 
     position_mm: Array
@@ -69,11 +70,18 @@ class EmSamples:
     key_column: str | None = None
     quaternion: Array | None = None
     source: str = "the EM log"
+    line: NDArray[np.int64] | None = None
 
     @property
     def seen(self) -> BoolArray:
         """(N,) where the sensor was visible."""
         return np.asarray(np.isfinite(self.position_mm).all(axis=1))
+
+    def stretch(self, first: int, last: int) -> str:
+        """Where rows ``first`` to ``last`` stand: their lines in the file, or their numbers from 1 on."""
+        if self.line is None:
+            return f"its readings {first + 1} to {last + 1}"
+        return f"its lines {self.line[first]} to {self.line[last]}"
 
     def visible(self) -> "EmSamples":
         """Only the rows where the sensor was visible."""
@@ -93,4 +101,5 @@ class EmSamples:
             t_s=None if self.t_s is None else np.where(there, self.t_s[rows], np.nan),
             key=None if self.key is None else tuple(self.key[i] if i >= 0 else "" for i in rows),
             quaternion=None if self.quaternion is None else taken(self.quaternion),
+            line=None if self.line is None else np.where(there, self.line[rows], 0),
         )
