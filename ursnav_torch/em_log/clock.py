@@ -81,8 +81,8 @@ def _check_standing(samples: EmSamples, rows: NDArray[np.int64], steps: Array, w
             raise InputError(
                 f"The clock of {samples.source} stands still at {samples.t_s[rows[ends[i]]]:.3f} s over "
                 f"{samples.stretch(rows[ends[i]], rows[ends[i + 1] - 1])}, in which the sensor moves: nothing says "
-                "when each was taken. Blank those times if only some are wrong; delete the column and give a column frame "
-                "or image (or em_join=frame) if it names the pictures; or export with finer times."
+                "when each was taken. Blank those times if only some are wrong; delete the column and give a column "
+                "frame or image (or em_join=frame) if it names the pictures; or export with finer times."
             )
 
 
