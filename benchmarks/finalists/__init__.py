@@ -13,20 +13,21 @@ now. The edge points are the limit, not how they are compared. Share right by sh
 
 * the points of the true view in place of the picture's (200 pictures): 94 %, 96 % both sides, 96 % with maps. Of a true
   view's edge pixels, the picture shows within 2 px 89 % (``thesis_simulation``), 75 % (``thesis_phantom``), 42 %
-  (``in_vivo_like``) and 33 % (``wide``), 15 to 19 % by chance; of the picture's, the view shows 72, 56, 33 and 27 %. In
-  all kinds, 37 % of those without a depth step repeat and 51 to 53 % of those with a step of half or more; 22 % of weak
-  ones and 52 % of strong ones. Canny finds both flanks of each dark rim, bubbles, highlights and what stands before the
+  (``in_vivo_like``) and 33 % (``wide``), 15 to 19 % by chance; of the picture's, the view shows 72, 56, 33 and 27 %. Over
+  all kinds, within 2 px and 30°, 37 % repeat of those without a depth step and 51 to 53 % of those with one of 0.5 or
+  more in log depth; 22 % of weak ones (strength 0.3 to 0.4) and 52 % of strong ones (0.8 to 1). Canny finds both flanks of each dark rim, bubbles, highlights and what stands before the
   wall;
 * other shape contexts in the default cost (100 pictures, 69 % with 40 px): reach of 20, 80 or 125 px: 65, 64, 60 %;
   bins split by edge direction, 40 or 80 px: 64, 68 %, by direction and brighter side: 66, 70 %; neighbors weighed by
   strength: 69 %; frames radial or tangent: 67, 66 %;
 * costs without shape contexts: position within 60 px and direction 59 %, within 10, 15, 20 or 30 px 62 to 66 %; with
   the brighter side in place of the direction 62 to 66 %. None added to the maps;
-* lines of dark rims, ridges of the relief's curvature smoothed by 1.2 px at the working size, in place of Canny's edges:
-  the one that won. Alone and both sides, 80 % where edges had 66 %. On phantoms 3300 and 3301 (432 pictures), alone 77 %
-  where edges had 63 % (66 % both sides), with maps at weight 2 85.2 % where edges had 82.6 % and maps alone 80.3 %.
-  Smoothed by 1.8, 2.6 or 3.5 px: 80, 78, 75 % alone; bright ridges as well: 76 %. Such points are other features:
-  certainty and VIDs would have to be made anew, and what is left of the gain after refinement was not measured.
+* lines of dark rims, ridges of the relief's curvature smoothed by 1.2 px at the working size, in place of Canny's
+  edges: the one that won. Alone and both sides, 80 % where edges had 66 % (200 pictures). On phantoms 3300 and 3301
+  (432 pictures), alone 77 % where edges had 63 % (66 % both sides), with maps at weight 2 85.2 % where edges had 82.6 %
+  and maps alone 80.3 %. Smoothed by 1.8, 2.6 or 3.5 px: 80, 78, 75 % alone; bright ridges as well: 76 %. Such points
+  are other features: certainty and VIDs would have to be made anew, and what is left of the gain after refinement was
+  not measured.
 """
 
 import sys

@@ -4,8 +4,8 @@ Arguments, each ``key=value``: ``views=40 rounds=7 threads=1 accuracy_views=100 
 out=FILE.json``. OpenCV's extractors need opencv-contrib-python-headless; without it they are skipped.
 
 A note on what lost: rings and sectors told by comparing squares and slopes in small whole numbers, in place of a
-logarithm and an angle a pair. The histograms were the same and took as long (sets of 300 points, medians of 80 rounds in
-turn: 1.28 ms and 1.27 ms; of 100 points, eight at a time: 1.03 ms and 1.05 ms).
+logarithm and an angle a pair. The histograms were the same and took as long (sets of 300 points, medians of 80 rounds
+in turn: 1.28 ms and 1.27 ms; of 100 points, eight at a time: 1.03 ms and 1.05 ms).
 """
 
 from collections.abc import Callable, Sequence
