@@ -8,15 +8,15 @@ choosing half; the judging half shows what to expect of it.
 Arguments, each ``key=value``: ``work=DIR`` (keeps the VIDs) ``phantoms=3`` (of each half) ``views=60`` ``pictures=24``
 (a calyx, the kinds of `benchmarks.certainty` taking turns) ``out=FILE.json``.
 
-Notes on what was tried, one after another, on finalists kept from runs of this suite; no command prints these figures
-now. The edge points are the limit, not how they are compared. Share right by shapes alone, pictures of phantom 3200:
+Notes on what was tried, one after another, on finalists of pictures drawn as this suite draws them; no command prints
+these figures now. The edge points are the limit, not how they are compared. Share right by shapes alone, phantom 3200:
 
 * the points of the true view in place of the picture's (200 pictures): 94 %, 96 % both sides, 96 % with maps. Of a true
   view's edge pixels, the picture shows within 2 px 89 % (``thesis_simulation``), 75 % (``thesis_phantom``), 42 %
-  (``in_vivo_like``) and 33 % (``wide``), 15 to 19 % by chance; of the picture's, the view shows 72, 56, 33 and 27 %. Over
-  all kinds, within 2 px and 30°, 37 % repeat of those without a depth step and 51 to 53 % of those with one of 0.5 or
-  more in log depth; 22 % of weak ones (strength 0.3 to 0.4) and 52 % of strong ones (0.8 to 1). Canny finds both flanks of each dark rim, bubbles, highlights and what stands before the
-  wall;
+  (``in_vivo_like``) and 33 % (``wide``), 15 to 19 % by chance; of the picture's, the view shows 72, 56, 33 and 27 %.
+  Over all kinds, within 2 px and 30°, 37 % repeat of those without a depth step and 51 to 53 % of those with one of 0.5
+  or more in log depth; 22 % of weak ones (strength 0.3 to 0.4) and 52 % of strong ones (0.8 to 1). Canny finds both
+  flanks of each dark rim, bubbles, highlights and what stands before the wall;
 * other shape contexts in the default cost (100 pictures, 69 % with 40 px): reach of 20, 80 or 125 px: 65, 64, 60 %;
   bins split by edge direction, 40 or 80 px: 64, 68 %, by direction and brighter side: 66, 70 %; neighbors weighed by
   strength: 69 %; frames radial or tangent: 67, 66 %;
