@@ -5,7 +5,7 @@
 
 A recorded flight is fed at the camera's rate to `Navigator` with its page served, first while nobody looks, then with
 headless Chromium, which draws the kidney by software on the same cores. What the browser shows is read in the browser,
-at every frame that it draws: the number of the state, and the status line.
+at every frame that it draws: the number of the state, the status line, and the number of the picture's state.
 """
 
 import shutil
@@ -36,13 +36,15 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 #: Seconds that a page has to open, and then to settle before anything counts.
 PATIENCE_S, SETTLE_S, FOREVER_S = 60.0, 5.0, 1e9
-#: At every frame drawn: when, which state, and what the status line says; frames apart are counted.
+#: At every frame drawn: when, which state, what the status line says, which picture; frames apart are counted.
 WATCH = """() => {
-  window.seen = []; window.frames = 0; window.first = +document.getElementById("picture").dataset.shown;
+  window.seen = []; window.pictures = []; window.frames = 0;
   const look = () => {
     const text = document.querySelector(".ursnav-latency"), line = document.querySelector(".ursnav-status");
     const state = text ? +text.dataset.state : -1, last = window.seen.at(-1);
+    const picture = +(document.getElementById("picture").dataset.state ?? -1);
     window.frames += 1;
+    if (picture >= 0 && window.pictures.at(-1)?.[1] !== picture) window.pictures.push([Date.now() / 1e3, picture]);
     if (state >= 0 && (!last || last[1] !== state)) window.seen.push([Date.now() / 1e3, state, line.innerText]);
     requestAnimationFrame(look);
   };
@@ -60,8 +62,8 @@ class Beside:
         located: poses.
         latency_ms: picture to pose.
         seen: in the browser: wall clock's time, version, status line; once for every state shown.
+        pictures: of the scope, shown in the browser: wall clock's time, version of the state that it came with.
         drawn: frames that the browser drew.
-        pictures: of the scope that it showed.
     """
 
     seconds: float
@@ -69,8 +71,8 @@ class Beside:
     located: int
     latency_ms: list[float]
     seen: list[tuple[float, int, str]] = field(default_factory=list)
+    pictures: list[tuple[float, int]] = field(default_factory=list)
     drawn: int = 0
-    pictures: int = 0
 
 
 def main(arguments: list[str]) -> None:
@@ -96,7 +98,7 @@ def _measure(report: Report, navigator: Navigator, settings: dict[str, Any]) -> 
             tab.evaluate(WATCH)
             both = _watch(navigator, seconds, lambda s: tab.wait_for_timeout(1e3 * s))
             both.seen, both.drawn = [tuple(row) for row in tab.evaluate("window.seen")], tab.evaluate("window.frames")
-            both.pictures = tab.evaluate("+document.getElementById('picture').dataset.shown - window.first")
+            both.pictures = [tuple(row) for row in tab.evaluate("window.pictures")]
             if settings["screenshot"]:
                 tab.screenshot(path=settings["screenshot"])
     finally:
@@ -146,24 +148,39 @@ def _add_navigation(report: Report, group: str, found: Beside) -> None:
 
 def _add_browser(report: Report, group: str, found: Beside) -> None:
     """What the browser showed, and how late."""
-    at = np.array([t for t, _, _ in found.seen])
-    noted = sorted(found.states)  # of states in quick succession the noting thread may see the last one alone
-    shown = [
-        (t, found.states[noted[bisect_right(noted, v) - 1]], line)
-        for t, v, line in found.seen
-        if noted and v >= noted[0]
-    ]
-    late = [1e3 * (t - published) for t, (published, _), _ in shown]
-    report.add(group, "states shown by the browser", "1/s", [(len(at) - 1) / (at[-1] - at[0])], n=len(at))
-    report.add(group, "from one state shown to the next", "ms", (1e3 * np.diff(at)).tolist())
-    report.add(group, "the same, 95th percentile", "ms", [1e3 * float(np.percentile(np.diff(at), 95))], n=len(at))
-    report.add(group, "from the bus to a frame drawn in the browser", "ms", late)
-    slow = [WORDS[state.effort] in line for _, (_, state), line in shown if state.effort]
+    report.add(group, "states shown by the browser", "1/s", [len(found.seen) / found.seconds], n=len(found.seen))
+    apart = 1e3 * np.diff([t for t, _, _ in found.seen])
+    report.add(group, "from one state shown to the next", "ms", apart.tolist())
+    report.add(group, "the same, 95th percentile", "ms", [float(np.percentile(apart, 95))], n=len(apart))
+    late = [1e3 * (t - published) for t, (published, _) in _published(found, [(t, v) for t, v, _ in found.seen])]
+    _add_late(report, group, "states, from the bus to a frame drawn in the browser", late)
+    pictures = [(t, state.frame) for t, (_, state) in _published(found, found.pictures)]
+    late = [1e3 * (t - frame.stamp.t_wall_s) for t, frame in pictures if frame is not None]
+    _add_late(report, group, "scope's pictures, from the camera to a frame drawn in the browser", late)
+    lines = {t: line for t, _, line in found.seen}
+    shown = _published(found, [(t, v) for t, v, _ in found.seen])
+    slow = [WORDS[state.effort] in lines[t] for t, (_, state) in shown if state.effort]
     if slow:
         said = 100.0 * float(np.mean(slow))
         report.add(group, "eased states of which the browser's status line said so", "%", [said], n=len(slow))
-    report.add(group, "scope's pictures shown", "1/s", [found.pictures / found.seconds], n=found.pictures)
+    report.add(group, "scope's pictures shown", "1/s", [len(found.pictures) / found.seconds], n=len(found.pictures))
     report.add(group, "frames drawn by the browser", "1/s", [found.drawn / found.seconds], n=found.drawn)
+
+
+def _add_late(report: Report, group: str, what: str, late_ms: list[float]) -> None:
+    """How late something was: the middle, and the worst of the second half, which tells whether a queue grows."""
+    report.add(group, what, "ms", late_ms)
+    half = late_ms[len(late_ms) // 2 :]
+    report.add(group, f"{what}, latest of the second half", "ms", [max(half, default=float("nan"))], n=len(half))
+
+
+def _published(found: Beside, shown: list[tuple[float, int]]) -> list[tuple[float, tuple[float, NavigationState]]]:
+    """When each version was shown, with when its state was published and the state.
+
+    Of states in quick succession the noting thread may see the last one alone: the one noted before counts.
+    """
+    noted = sorted(found.states)
+    return [(t, found.states[noted[bisect_right(noted, v) - 1]]) for t, v in shown if noted and v >= noted[0]]
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """A live page beside a session, and somebody who looks at it, closes it and opens it anew."""
 
 import contextlib
+import json
 import threading
 import urllib.request
 from dataclasses import replace
@@ -75,5 +76,7 @@ class Watching:
         self.reloads += 1
 
     def _look(self, socket: Any) -> None:
-        for _ in socket:
+        for message in socket:
             self.heard += 1
+            line = message if isinstance(message, str) else message.split(b"\n", 1)[0]
+            socket.send(json.dumps({"shown": json.loads(line)["kind"]}))

@@ -320,14 +320,17 @@ def test_on_a_slow_machine_drawings_wait(vid, phantom_lumen, monkeypatch):
     """Words and the scope's pictures must keep coming; what is drawn for the page comes less often."""
     page = LivePage(Navigator(Tracker(vid)), SessionControls(lambda: None), port=0)
     try:
-        clock = [1000.0]
+        clock, number = [1000.0], 0
         monkeypatch.setattr("ursnav_torch.page.live.time", SimpleNamespace(monotonic=lambda: clock[0]))
         drawn, frame = {}, Frame(Stamp(0, 0.0, 0.0), np.zeros((96, 96), np.uint8))
         for effort in (0, 2):
             server, start = Mock(), clock[0]
             monkeypatch.setattr(page, "server", server)
             while clock[0] < start + 30:
-                page._show_picture(NavigationState(effort=effort, frame=replace(frame)))
+                number += 1
+                state = NavigationState(version=number, effort=effort, frame=replace(frame))
+                page._show_state(state)
+                page._show_drawings(state)
                 clock[0] += 0.1
             drawn[effort] = Counter(call.args[0] for call in server.publish_picture.call_args_list)
             monkeypatch.undo()

@@ -12,6 +12,8 @@ from ursnav_torch.records import to_record
 
 #: No message of ours is longer, and no place, angle, count or time on a page is farther from zero.
 MOST_BYTES, MOST_TEXT, LARGEST = 4096, 40, 1e6
+#: How a page begins to say that it has shown a message.
+SHOWN = '{"shown":'
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,18 @@ class Command:
         if not all(text in self.choices if self.choices else 0 < len(text) <= MOST_TEXT for text in texts):
             raise InputError(f"The command's value {str(value)[:MOST_TEXT]!r} is none of those offered.")
         self.do(value)
+
+
+def shown_kind(raw: str) -> str | None:
+    """The kind of message that a page says it has shown, ``{"shown": KIND}``; None where it says something else."""
+    if len(raw) > MOST_BYTES or not raw.startswith(SHOWN):
+        return None
+    try:
+        message = msgspec.json.decode(raw)
+    except (msgspec.DecodeError, RecursionError):
+        return None
+    kind = message.get("shown") if isinstance(message, dict) else None
+    return kind if isinstance(kind, str) else None
 
 
 def run_message(raw: Any, commands: dict[str, Command]) -> None:

@@ -22,12 +22,16 @@ from ursnav_torch.stones import NO_STONES
 
 logger = logging.getLogger(__name__)
 
-#: Looks at the state a second.
-UPDATES_HZ = 20.0
-#: Seconds between scope's pictures, drawings of what it should see, changes of wall and ways, and of the cloud.
-PICTURE_S, VIRTUAL_S, PAINT_S, CLOUD_S = 0.08, 0.5, 1.0, 0.25
-#: On a slow machine drawings, wall and ways change so many times less often; words and the scope's pictures do not.
+#: Seconds between looks at the state: at least, and at most where there is nothing new.
+LOOK_S, LONGEST_S = 0.02, 0.1
+#: Seconds between scope's pictures with their states, on a slow machine, and between states without a new picture.
+PICTURE_S, PICTURE_SLOW_S, WORDS_S = 0.04, 0.08, 0.15
+#: Seconds between drawings of what the scope should see, changes of wall and ways, and of the cloud.
+VIRTUAL_S, PAINT_S, CLOUD_S = 0.5, 1.0, 0.25
+#: On a slow machine these change so many times less often.
 SLOWER = 4.0
+#: Seconds between changes of the figures on the last line: nobody reads them faster.
+FIGURES_S = 0.5
 
 
 class LivePage:
@@ -64,6 +68,7 @@ class LivePage:
         self._end, self._done_s = threading.Event(), dict[str, float]()
         self._version, self._painted, self._stones = -1, -1, NO_STONES
         self._shown: Frame | None = None
+        self._played, self._figures = (False, -1.0), ""
         self._located, self._rate = (time.monotonic(), 0), 0.0
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self.server.publish("about", **self._about())
@@ -127,11 +132,13 @@ class LivePage:
 
     def _run(self) -> None:
         """Bring the page up to date for as long as there is somebody to see it."""
-        while not self._end.wait(1 / UPDATES_HZ):
+        bus, version = self.navigator.bus, -1
+        while not self._end.wait(LOOK_S):
+            state = bus.wait(version, LONGEST_S) or bus.latest()
+            version = state.version
             if not self.server.watched:
                 continue
-            state = self.navigator.bus.latest()
-            for show in (self._show_words, self._show_picture, self._show_ways):
+            for show in (self._show_state, self._show_drawings, self._show_ways):
                 self._safely(show, state)
 
     def _safely(self, show: Callable[[NavigationState], None], state: NavigationState) -> None:
@@ -140,28 +147,46 @@ class LivePage:
         except Exception:  # whatever a picture does to the page, navigation and its controls stay
             logger.exception("The page could not be brought up to date.")
 
-    def _show_words(self, state: NavigationState) -> None:
-        """Texts and the camera's place: little to send and to draw."""
-        player, console = self.controls.player, self.controls.console
-        if player is not None:
-            self.server.publish("replay", playing=player.playing, at_s=round(player.position_s, 1))
+    def _show_state(self, state: NavigationState) -> None:
+        """Words, the camera's place, and with them what the scope sees: a browser draws them in one frame."""
+        player = self.controls.player
+        if player is not None and (player.playing, round(player.position_s, 1)) != self._played:
+            self._played = player.playing, round(player.position_s, 1)
+            self.server.publish("replay", playing=self._played[0], at_s=self._played[1])
         if state.version == self._version:
+            return
+        frame = state.frame if state.frame is not self._shown else None
+        kind, every_s = (
+            ("state", WORDS_S) if frame is None else ("scope", PICTURE_SLOW_S if state.effort else PICTURE_S)
+        )
+        if not self.server.wanted(kind) or not self._due("state", every_s):
             return
         self._version = state.version
         self._count(time.monotonic())
-        if self._due("cloud", CLOUD_S):
-            self.server.publish("cloud", points=cloud(state))
-        self.server.publish("state", by_hand=console is not None and console.by_hand, **state_values(state, self._rate))
-
-    def _show_picture(self, state: NavigationState) -> None:
-        """What the scope sees, and less often what it should see there."""
-        if state.frame is not None and state.frame is not self._shown and self._due("picture", PICTURE_S):
-            self._shown = state.frame
-            height, width = state.frame.image.shape[:2]
-            scope = jpeg(self._pictures.scope(state.frame.image))
+        values = self._values(state)
+        if frame is None:
+            self.server.publish("state", **values)
+        else:
+            self._shown = frame
+            height, width = frame.image.shape[:2]
             over = scope_overlays(state, self._vid) | {"edges": edge_strokes(state.edges)}
-            self.server.publish_picture("scope", scope, width=width, height=height, **over)
-        if self._due("virtual", VIRTUAL_S * (SLOWER if state.effort else 1.0)):
+            picture = jpeg(self._pictures.scope(frame.image))
+            self.server.publish_picture("scope", picture, state=values, width=width, height=height, **over)
+
+    def _values(self, state: NavigationState) -> dict[str, Any]:
+        """The state's words and numbers; how fast all is stays for a while, so that it can be read."""
+        console = self.controls.console
+        values = state_values(state, self._rate)
+        if self._due("figures", FIGURES_S):
+            self._figures = values["latency"]
+        return values | {"latency": self._figures, "by_hand": console is not None and console.by_hand}
+
+    def _show_drawings(self, state: NavigationState) -> None:
+        """The cloud of where the scope may be, and what the scope should see."""
+        slower = SLOWER if state.effort else 1.0
+        if self._due("cloud", CLOUD_S * slower):
+            self.server.publish("cloud", points=cloud(state))
+        if self._due("virtual", VIRTUAL_S * slower):
             self.server.publish_picture("virtual", jpeg(self._pictures.virtual(state.T_kidney_camera)))
 
     def _show_ways(self, state: NavigationState) -> None:
@@ -179,11 +204,11 @@ class LivePage:
             self.server.publish("seen", patches=seen.nonzero()[0].tolist())
 
     def _due(self, what: str, every_s: float) -> bool:
-        """Whether it is time again; if so, the time counts anew."""
-        now = time.monotonic()
-        if now - self._done_s.get(what, 0.0) < every_s:
+        """Whether it is time again; if so, the time counts from when it was due, or from one turn before now."""
+        now, done_s = time.monotonic(), self._done_s.get(what, 0.0)
+        if now - done_s < every_s:
             return False
-        self._done_s[what] = now
+        self._done_s[what] = max(done_s + every_s, now - every_s)  # what comes late is made up for, once
         return True
 
     def _count(self, now: float) -> None:

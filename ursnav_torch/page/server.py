@@ -5,7 +5,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ import msgspec
 
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.extras import import_extra
-from ursnav_torch.page.commands import Command, run_message
+from ursnav_torch.page.commands import Command, run_message, shown_kind
 from ursnav_torch.page.guard import Guard
-from ursnav_torch.page.mailbox import Mailbox
+from ursnav_torch.page.mailbox import Mailbox, Reader
 
 logger = logging.getLogger(__name__)
 
@@ -23,6 +23,8 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 STATIC = Path(__file__).parent / "static"
 #: The server has so long to come up, and to end.
 PATIENCE_S = 20.0
+#: So many commands of a page wait while one is done; then its next are not heard.
+WAITING = 50
 
 
 def check_address(host: str, port: int) -> None:
@@ -77,7 +79,7 @@ class PageServer:
         app = Guard(_application(page, resources, self._speak), programs)
         config = uvicorn.Config(
             app, *address, log_config=None, access_log=False, lifespan="off", ws="websockets-sansio",
-            ws_max_size=65_536, timeout_graceful_shutdown=1, server_header=False,
+            ws_max_size=65_536, ws_per_message_deflate=False, timeout_graceful_shutdown=1, server_header=False,
         )  # fmt: skip
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, name="page-server", daemon=True)
@@ -94,6 +96,10 @@ class PageServer:
     def watched(self) -> bool:
         """Whether anybody looks at the page."""
         return self._mailbox.readers > 0
+
+    def wanted(self, kind: str) -> bool:
+        """Whether somebody would see a message of a kind at once: none is under way to a page that looks."""
+        return self._mailbox.wanted(kind)
 
     def publish(self, kind: str, **values: Any) -> None:
         """Send plain values to all pages; who opens one later gets the last of every kind."""
@@ -115,23 +121,35 @@ class PageServer:
         from starlette.websockets import WebSocketDisconnect
 
         await socket.accept()
-        async with anyio.create_task_group() as both:
+        reader = Reader()
+        put, asked = anyio.create_memory_object_stream[str](WAITING)
+        async with put, asked, anyio.create_task_group() as tasks:
 
             async def send() -> None:
-                async for message in self._mailbox.read():
+                async for message in self._mailbox.read(reader):
                     await (socket.send_text if isinstance(message, str) else socket.send_bytes)(message)
                 await socket.close(1001)
 
-            async def receive() -> None:
-                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                    while True:
-                        await self._take(await socket.receive_text(), socket)
-                both.cancel_scope.cancel()
+            async def do() -> None:
+                async for raw in asked:
+                    await self._take(raw, socket)
 
-            both.start_soon(receive)
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                await send()
-            both.cancel_scope.cancel()
+            async def receive() -> None:
+                while True:
+                    raw = await socket.receive_text()
+                    kind = shown_kind(raw)
+                    if kind is None:
+                        await put.send(raw)
+                    else:
+                        reader.shown(kind)
+
+            async def until_closed(part: Callable[[], Awaitable[None]]) -> None:
+                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                    await part()
+                tasks.cancel_scope.cancel()
+
+            for part in (do, receive, send):
+                tasks.start_soon(until_closed, part)
 
     async def _take(self, raw: str, socket: Any) -> None:
         """Do what a page asks for, beside the loop that serves it; what cannot be done becomes a notice there."""

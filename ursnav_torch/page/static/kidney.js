@@ -1,16 +1,16 @@
 // The kidney in the page: translucent, painted where it was seen, with the scope in it. It draws only when something changes.
 import * as THREE from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
+import { paced } from "./pace.js";
 
 const TISSUE = [0.88, 0.58, 0.57], SEEN = [0.25, 0.72, 0.4];
 const COLORS = { inspected: 0x63d07a, glimpsed: 0xf2b53c, unseen: 0xff6f64, "out of reach": 0x9aa5ae };
 const STONE = { there: 0xffb52e, gone: 0x9aa5ae };
 const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
-// No picture is drawn wider: without a graphics card the time goes with its pixels.
-const WIDEST_PX = 1200;
-// After a drawing that took longer than two frames the page rests so many times as long from it: without a graphics card
-// words and the scope's pictures come first.
-const REST = 3, TWO_FRAMES_MS = 40;
+// No picture is drawn wider: the time goes with its pixels, and most without a graphics card.
+const WIDEST_PX = 1200, WIDEST_SOFTWARE_PX = 640;
+// Time between looks whether a drawing is done.
+const LOOK_MS = 5;
 // Share of the pane that the kidney fills.
 const FILLED = 0.9;
 
@@ -25,7 +25,8 @@ export async function kidneyView(pane, onCalyx) {
   const center = vector(about.center), unit = about.scale;
 
   const canvas = pane.querySelector("canvas");
-  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+  const software = isSoftware();
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, alpha: true });
   const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(40, 1, 1, 40 * about.extent);
   camera.up.copy(vector(about.up));
   const controls = new OrbitControls(camera, canvas);
@@ -76,19 +77,18 @@ export async function kidneyView(pane, onCalyx) {
   };
   const empty = (group) => { for (const child of [...group.children]) { child.geometry.dispose(); child.material.dispose(); group.remove(child); } };
 
-  // What the program changes is drawn when the last drawing has cost but a share of the time; what a hand turns, at once.
-  let asked = false, timer = 0, cost = 0, done = 0;
-  const draw = () => {
-    asked = false; clearTimeout(timer); timer = 0;
-    const begun = performance.now();
-    renderer.render(scene, camera); place();
-    requestAnimationFrame(() => requestAnimationFrame(() => { done = performance.now(); cost = Math.max(0, done - begun - TWO_FRAMES_MS); }));
-  };
-  const askNow = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
-  const ask = () => { if (!asked && !timer) timer = setTimeout(() => { timer = 0; askNow(); }, Math.max(0, done + REST * cost - performance.now())); };
+  // A drawing is done when the graphics card says so: the page goes on meanwhile.
+  const gl = renderer.getContext();
+  const drawn = () => new Promise((done) => {
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), end = () => { gl.deleteSync(fence); done(); };
+    gl.flush();
+    const look = () => { if (!fence || gl.isContextLost() || gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.SIGNALED) end(); else setTimeout(look, LOOK_MS); };
+    setTimeout(look);
+  });
+  const { ask, askNow } = paced(() => { renderer.render(scene, camera); place(); }, drawn);
   const fit = () => {
     const { clientWidth: width, clientHeight: height } = pane;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5, WIDEST_PX / Math.max(width, 1))); renderer.setSize(width, height, false);
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5, (software ? WIDEST_SOFTWARE_PX : WIDEST_PX) / Math.max(width, 1))); renderer.setSize(width, height, false);
     camera.aspect = width / Math.max(height, 1); camera.updateProjectionMatrix();
     if (!moved) frame();
     askNow();
@@ -178,6 +178,14 @@ export async function kidneyView(pane, onCalyx) {
     onPick(action) { pick = action; },
     screen(points) { return points.map((p) => { const q = vector(p).project(camera), box = canvas.getBoundingClientRect(); return [box.x + (q.x + 1) / 2 * box.width, box.y + (1 - q.y) / 2 * box.height]; }); },
   };
+}
+
+// Whether the browser draws without a graphics card.
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
 // Arrow keys turn the kidney, plus and minus bring it nearer and farther.

@@ -1,23 +1,34 @@
 // The connection to the program: JSON texts, and pictures as a line of JSON and a JPEG. It comes back by itself.
+// The program hears of every message when it is shown, and sends the next of that kind only then: no queue can grow.
 import { words } from "./words.js";
 
 export function connect(handlers) {
   let socket = null;
   const open = () => {
-    socket = new WebSocket(`ws://${location.host}/live`);
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => handlers.notice?.({ text: "" });
-    socket.onmessage = ({ data }) => {
-      if (typeof data === "string") { const m = JSON.parse(data); handlers[m.kind]?.(m); return; }
-      const bytes = new Uint8Array(data), end = bytes.indexOf(10);
-      const m = JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)));
-      createImageBitmap(new Blob([bytes.subarray(end + 1)], { type: "image/jpeg" })).then((bitmap) => handlers[m.kind]?.({ ...m, bitmap }));
+    const own = socket = new WebSocket(`ws://${location.host}/live`);
+    own.binaryType = "arraybuffer";
+    own.onopen = () => handlers.notice?.({ text: "" });
+    own.onmessage = async ({ data }) => {
+      const [m, picture] = read(data);
+      try {
+        if (picture) m.bitmap = await createImageBitmap(picture);
+        await handlers[m.kind]?.(m);
+      } finally { if (own.readyState === 1) own.send(JSON.stringify({ shown: m.kind })); }
     };
-    socket.onclose = () => { handlers.notice?.({ text: words.lost }); setTimeout(open, 1000); };
+    own.onclose = () => { handlers.notice?.({ text: words.lost }); setTimeout(open, 1000); };
   };
   open();
   return (name, value) => { if (socket.readyState === 1) socket.send(JSON.stringify({ do: name, value })); };
 }
+
+function read(data) {
+  if (typeof data === "string") return [JSON.parse(data), null];
+  const bytes = new Uint8Array(data), end = bytes.indexOf(10);
+  return [JSON.parse(new TextDecoder().decode(bytes.subarray(0, end))), new Blob([bytes.subarray(end + 1)], { type: "image/jpeg" })];
+}
+
+// Do something with the next frame that the browser draws; kept when that is done.
+export const atFrame = (action) => new Promise((done, failed) => requestAnimationFrame(() => { try { done(action()); } catch (error) { failed(error); } }));
 
 export const $ = (id) => document.getElementById(id);
 export const put = (element, text) => { if (element.textContent !== text) element.textContent = text; };

@@ -1,5 +1,5 @@
 // The page of a live session or a record: shows what the program sends, passes on what is pressed.
-import { $, connect, hold, keys, put } from "./link.js";
+import { $, atFrame, connect, hold, keys, put } from "./link.js";
 import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
 import { scopeView } from "./scope.js";
@@ -16,10 +16,10 @@ const later = (name, action) => { if (view) action(); else pending[name] = actio
 const slug = (verdict) => verdict.replaceAll(" ", "-");
 
 const send = connect({
-  about(m) { if (!about) { about = m; build(m); } },
-  state(m) { state = m; show(m); },
-  scope(m) { scope.show(m); },
-  virtual(m) { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); },
+  about(m) { state = null; if (!about) { about = m; build(m); } },
+  state: (m) => atFrame(() => take(m)),
+  scope: (m) => atFrame(() => { scope.show(m); take(m.state); }),
+  virtual: (m) => atFrame(() => { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); }),
   ways(m) { later("ways", () => view.ways(m.path, m.route)); },
   seen(m) { later("seen", () => view.seen(m.patches)); },
   stones(m) { list(m.stones); later("stones", () => view.stones(m.stones)); },
@@ -56,6 +56,9 @@ function build(m) {
   for (const [key, what] of words.keys) { const term = document.createElement("dt"), said = document.createElement("dd"); term.textContent = key; said.textContent = what; $("keys").append(term, said); }
   $("replay").hidden = m.duration_s === null; $("at").max = m.duration_s ?? 0;
 }
+
+// Words may have come while their picture was decoded; older ones do not replace them.
+function take(m) { if (!state || m.version >= state.version) { state = m; show(m); } }
 
 function show(m) {
   put($("status"), m.status); $("status").title = m.status;

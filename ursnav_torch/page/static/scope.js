@@ -4,6 +4,8 @@ import { words } from "./words.js";
 const EDGE = "#3ce63c", BODY = { stone: "#ffb52e", instrument: "#d39cff" }, NAME = "#ffffff", WAY = "#7db7ff", SHADE = "#000c";
 // The drawing over the picture is no higher: without a graphics card the time goes with its pixels.
 const HIGHEST_PX = 800;
+// Both are drawn by the processor: what changes with every picture costs a graphics card in software most.
+const pen2d = (canvas) => canvas.getContext("2d", { willReadFrequently: true });
 
 export function scopeView(picture, overlay) {
   const shown = { edges: true, stones: true, names: true };
@@ -12,9 +14,9 @@ export function scopeView(picture, overlay) {
     if (!last) return;
     const { width, height } = last, k = Math.max(1, Math.min(overlay.clientHeight, HIGHEST_PX) / height);
     resize(picture, width, height); resize(overlay, Math.round(k * width), Math.round(k * height));
-    picture.getContext("2d").drawImage(last.bitmap, 0, 0);
-    picture.dataset.shown = 1 + Number(picture.dataset.shown ?? 0);
-    const pen = overlay.getContext("2d");
+    pen2d(picture).drawImage(last.bitmap, 0, 0);
+    picture.dataset.shown = 1 + Number(picture.dataset.shown ?? 0); picture.dataset.state = last.state?.version ?? -1;
+    const pen = pen2d(overlay);
     pen.setTransform(1, 0, 0, 1, 0, 0); pen.clearRect(0, 0, overlay.width, overlay.height);
     pen.setTransform(k, 0, 0, k, k / 2 - 0.5, k / 2 - 0.5);  // pixel centers lie at whole numbers
     const unit = height / 250;
