@@ -55,6 +55,7 @@ function build(m) {
   $("drive-part").hidden = !m.drive; $("pilot").hidden = !m.pilot; $("hold").hidden = !m.by_itself;
   for (const [key, what] of words.keys) { const term = document.createElement("dt"), said = document.createElement("dd"); term.textContent = key; said.textContent = what; $("keys").append(term, said); }
   $("replay").hidden = m.duration_s === null; $("at").max = m.duration_s ?? 0;
+  document.body.classList.add("built");
 }
 
 // Words may have come while their picture was decoded; older ones do not replace them.
