@@ -40,6 +40,8 @@ def main(arguments: list[str]) -> None:
         raise InputError(f"half={settings['half']!r} is no half of the flights; give {CHOOSING} or {JUDGING}.")
     if settings["vary"] and settings["half"] != CHOOSING:
         raise InputError(f"vary= chooses a setting, which the {JUDGING} half must not see; give half={CHOOSING}.")
+    if settings["fit"] and (settings["other"] or settings["odometry"] or settings["vary"]):
+        raise InputError("fit= learns from the flights as they are, with odometry and without; give no other choice.")
     if settings["fit"] and settings["half"] != CHOOSING:
         raise InputError(f"fit= learns, which the {JUDGING} half must not be used for; give half={CHOOSING}.")
     report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
@@ -48,6 +50,7 @@ def main(arguments: list[str]) -> None:
         choices = [
             Choice(other=settings["other"], odometry=settings["odometry"]),
             *Choice.varied(settings["vary"]),
+            *([Choice(odometry=True)] if settings["fit"] else []),
         ]
         records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
         for choice, record in _all_records(settings, work, choices):
@@ -55,7 +58,7 @@ def main(arguments: list[str]) -> None:
     for choice, found in records.items():
         (add_refusals if choice.other else add_scores)(report, str(choice), found)
     if settings["fit"]:
-        fit_position(report, records[choices[0]], settings["save"])
+        fit_position(report, {str(choice): found for choice, found in records.items()}, settings["save"])
     report.finish(settings["out"])
 
 
