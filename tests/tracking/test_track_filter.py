@@ -13,12 +13,11 @@ from ursnav_torch.features import ThesisSettings
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.motion import Hypotheses, Since
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.settings import FilterSettings, TrackSettings
+from ursnav_torch.tracking.settings import FilterSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
 
@@ -69,8 +68,7 @@ def test_the_same_pictures_give_the_same_answers(fresh: Tracker, phantom: Kidney
 def test_white_pictures_are_bridged_but_not_for_ever(
     fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, lens: Camera
 ) -> None:
-    poses, strict = flight(phantom, 2), TrackSettings(certainty=TrackCertaintySettings(largest_mm=6.0))
-    tracker = Tracker(fresh.vid, strict)
+    poses, tracker = flight(phantom, 2), Tracker(fresh.vid)
     follow(tracker, renderer, poses)
     white = np.full((lens.height, lens.width), 255, np.uint8)
     answers = [tracker.step(white, (len(poses) + i) / 10) for i in range(15)]

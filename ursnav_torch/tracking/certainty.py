@@ -32,13 +32,13 @@ class TrackCertaintySettings:
     Attributes:
         set_probability: with which they hold the right one.
         largest_mm: a region that holds the position with 90 % and reaches farther than this from the pose is no place.
-            On the choosing flights 6, 8, 10 and 12 mm give a place in 92.8, 94.0, 94.5 and 95.1 % of pictures, 0.07,
-            0.15, 0.37 and 0.58 % of these more than 3 mm off. Where one too far off counts as 3.3 that are missing,
-            the last three are worth alike (`benchmarks.flights half=choosing vary=certainty.largest_mm=6,8,12`).
+            Where a place more than 3 mm off counts as 3.3 that are missing, 4, 5, 6 and 8 mm are worth 94.6, 94.8, 94.3
+            and 92.7 % of the choosing flights' poses, each phantom's errors told by the others' weights, in the mean of
+            flights with and without a robot's word (`benchmarks.flights half=choosing fit=true`).
     """
 
     set_probability: float = 0.95
-    largest_mm: float = 10.0
+    largest_mm: float = 5.0
 
     def __post_init__(self) -> None:
         if not self.largest_mm > 0:
