@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 # Every extra, so that no test is skipped for want of one.
 EXTRAS := ct,viewer,dask,ndi,gamepad,ros,docs
 GL_PACKAGES := libegl1 libgl1-mesa-dri
-DEV_PACKAGES := chromium
+DEV_PACKAGES := chromium dicom3tools
 export PYOPENGL_PLATFORM ?= egl
 
 .PHONY: demo live test docs check sbom setup setup-dev system system-dev clean
@@ -60,13 +60,16 @@ system:
 	  fi; \
 	fi
 
-# A browser for the tests of the page; without it those tests are skipped.
+# A browser for the tests of the page, and a judge of DICOM objects; without them those tests are skipped.
 system-dev:
-	@if command -v dpkg >/dev/null && ! command -v chromium >/dev/null; then \
+	@if command -v dpkg >/dev/null && ! dpkg -s $(DEV_PACKAGES) >/dev/null 2>&1; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(DEV_PACKAGES); \
+	    apt-get update -qq; \
+	    for package in $(DEV_PACKAGES); do \
+	      DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$package || echo "not installed: $$package"; \
+	    done; \
 	  else \
-	    echo "the page's tests need a browser: sudo apt-get install $(DEV_PACKAGES)"; \
+	    echo "some tests need a browser and dciodvfy: sudo apt-get install $(DEV_PACKAGES)"; \
 	  fi; \
 	fi
 
