@@ -48,7 +48,7 @@ def complaints(path: Path) -> list[str]:
 
 def test_another_program_judges_the_objects() -> None:
     if shutil.which("dciodvfy") is None:
-        pytest.skip("dciodvfy is not installed (Debian: dicom3tools), so that only pydicom and highdicom read the objects")
+        pytest.skip("dciodvfy is not installed (Debian: dicom3tools): only pydicom and highdicom read the objects")
 
 
 def opened(path: Path, ct: Ct) -> Any:
