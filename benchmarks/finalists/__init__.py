@@ -6,10 +6,12 @@ on the choosing phantoms. The default of `search.default_matching` and `SearchSe
 choosing half; the judging half shows what to expect of it.
 
 Arguments, each ``key=value``: ``work=DIR`` (keeps the VIDs) ``phantoms=3`` (of each half) ``views=60`` ``pictures=24``
-(a calyx, the kinds of `benchmarks.certainty` taking turns) ``out=FILE.json``.
+(a calyx, the kinds of `benchmarks.certainty` taking turns) ``features=default`` (or ``rims``, or
+``default,rims``: whose points are compared) ``ways=`` (those whose name begins so; all when empty) ``out=FILE.json``.
 
 Notes on what was tried, one after another, on finalists of pictures drawn as this suite draws them; no command prints
-these figures now. The edge points are the limit, not how they are compared. Share right by shapes alone, phantom 3200:
+these figures now, but for the rims'. The edge points are the limit, not how they are compared. Share right by shapes
+alone, phantom 3200:
 
 * the points of the true view in place of the picture's (200 pictures): 94 %, 96 % both sides, 96 % with maps. Of a true
   view's edge pixels, the picture shows within 2 px 89 % (``thesis_simulation``), 75 % (``thesis_phantom``), 42 %
@@ -34,6 +36,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -42,8 +45,8 @@ from benchmarks.certainty.population import kinds
 from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.shared.statistics import wilson
-from ursnav_torch.errors import FeatureError
-from ursnav_torch.features import Features
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import DefaultSettings, Features, RimSettings, Settings
 from ursnav_torch.kidney import make_phantom_kidney, observed_calyx
 from ursnav_torch.localization import Query, simulated_queries
 from ursnav_torch.localization.evidence import vote
@@ -54,7 +57,9 @@ from ursnav_torch.search import Ranking, SearchSettings, ViewSearch, default_mat
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import PlanSettings, Vid
 
-DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "out": ""}
+DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "features": "default", "ways": "", "out": ""}
+#: Features whose points are compared.
+FEATURES: dict[str, Settings] = {"default": DefaultSettings(), "rims": RimSettings()}
 #: Phantoms from these seeds on choose and judge; `benchmarks.certainty` and the network learn from others.
 CHOOSING_SEED, JUDGING_SEED = 3200, 3300
 #: Weights of the shape distance that are tried; the maps' are 3 together.
@@ -92,24 +97,41 @@ def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
     work = work_folder(settings, "the phantoms' VIDs")
-    report = Report("finalists", {k: settings[k] for k in ("phantoms", "views", "pictures")})
-    answers: dict[str, list[Answered]] = {name: [] for name in ways()}
-    plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
-    for half, first in ((CHOOSING, CHOOSING_SEED), (JUDGING, JUDGING_SEED)):
-        for seed in range(first, first + settings["phantoms"]):
-            folder = work / f"finalists_{seed}_{settings['views']}"
-            ask(phantom_vid(make_phantom_kidney(seed), plan, folder), half, seed, settings["pictures"], answers)
-            print(f"{half}: phantom {seed} done", file=sys.stderr, flush=True)
-    for name, own in answers.items():
-        score(report, name, own)
+    asked = settings["features"].split(",")
+    compared = {name: way for name, way in ways().items() if name.startswith(settings["ways"])}
+    if not compared or not set(asked) <= set(FEATURES):
+        raise InputError(f"features are {', '.join(FEATURES)}, ways are {'; '.join(ways())}.")
+    report = Report("finalists", {k: settings[k] for k in ("phantoms", "views", "pictures", "features", "ways")})
+    for features in asked:
+        answers: dict[str, list[Answered]] = {name: [] for name in compared}
+        for half, seed in halves(settings["phantoms"]):
+            vid = _vid(work, seed, settings["views"], features)
+            ask(vid, half, seed, settings["pictures"], compared, answers)
+            print(f"{features}, {half}: phantom {seed} done", file=sys.stderr, flush=True)
+        for name, own in answers.items():
+            score(report, name if features == "default" else f"{features}: {name}", own)
     report.finish(settings["out"])
     return 0
 
 
-def ask(vid: Vid, half: str, seed: int, pictures: int, answers: dict[str, list[Answered]]) -> None:
-    """Answers of every way to simulated pictures of one phantom, added to those it has."""
+def halves(phantoms: int) -> list[tuple[str, int]]:
+    """The phantoms' seeds, so many of each half, and which half it is."""
+    firsts = ((CHOOSING, CHOOSING_SEED), (JUDGING, JUDGING_SEED))
+    return [(half, seed) for half, first in firsts for seed in range(first, first + phantoms)]
+
+
+def _vid(work: Path, seed: int, views: int, features: str) -> Vid:
+    name = f"finalists_{seed}_{views}" + ("" if features == "default" else f"_{features}")
+    plan = PlanSettings(views_per_calyx=views, passage_views=views)
+    return phantom_vid(make_phantom_kidney(seed), plan, work / name, settings=FEATURES[features])
+
+
+def ask(
+    vid: Vid, half: str, seed: int, pictures: int, compared: dict[str, Matching], answers: dict[str, list[Answered]]
+) -> None:
+    """Answers of the ways to simulated pictures of one phantom, added to those each has."""
     search = ViewSearch(vid, SearchSettings(shape_weight=0.0))
-    by_shape = {name: ViewSearch(vid, SearchSettings(shape_weight=1.0), matching) for name, matching in ways().items()}
+    by_shape = {name: ViewSearch(vid, SearchSettings(shape_weight=1.0), way) for name, way in compared.items()}
     plan = PlanSettings(pictures, 0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0, roll_deg=180.0, seed=seed)
     extractor = vid.extractor()
     for query in simulated_queries(vid, RaycastRenderer, plan, np.random.default_rng(seed), kinds()):

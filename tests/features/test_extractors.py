@@ -9,6 +9,7 @@ from ursnav_torch.camera import Camera, equidistant_camera, pinhole_camera
 from ursnav_torch.errors import FeatureError, InputError
 from ursnav_torch.features import (
     DefaultSettings,
+    RimSettings,
     Settings,
     ThesisSettings,
     make_extractor,
@@ -17,6 +18,9 @@ from ursnav_torch.features import (
 )
 
 BOTH = pytest.mark.parametrize("settings", [DefaultSettings(), ThesisSettings()], ids=["default", "thesis"])
+EVERY = pytest.mark.parametrize(
+    "settings", [DefaultSettings(), RimSettings(), ThesisSettings()], ids=["default", "rims", "thesis"]
+)
 LENS = equidistant_camera(160.0, 250, 250)
 
 
@@ -61,7 +65,7 @@ def test_directions_run_along_the_edge(settings: Settings) -> None:
     assert ((edges.weight >= 0) & (edges.weight <= 1)).all()
 
 
-@BOTH
+@EVERY
 @pytest.mark.parametrize("level", [60, 200])
 def test_the_round_rim_is_never_an_edge(settings: Settings, level: int) -> None:
     image = disk(LENS, (124.5, 124.5), 30.0, 255 - level, level)
@@ -69,14 +73,14 @@ def test_the_round_rim_is_never_an_edge(settings: Settings, level: int) -> None:
     assert np.hypot(*(edges.points.numpy() - 124.5).T).max() < 125 - 4
 
 
-@BOTH
+@EVERY
 def test_the_border_of_a_full_picture_is_never_an_edge(settings: Settings) -> None:
     lens = pinhole_camera(90, 250, 200)
     points = make_extractor(settings, lens).extract(disk(lens, (120.0, 90.0), 50.0)).edges.points.numpy()
     assert points.min() > 1 and points[:, 0].max() < 248 and points[:, 1].max() < 198
 
 
-@BOTH
+@EVERY
 @pytest.mark.parametrize(("level", "name"), [(0, "black"), (255, "white"), (128, "one gray")])
 def test_blank_pictures_are_told_so(settings: Settings, level: int, name: str) -> None:
     image = np.full((250, 250), level, np.uint8)
@@ -86,7 +90,7 @@ def test_blank_pictures_are_told_so(settings: Settings, level: int, name: str) -
         make_extractor(settings, LENS).extract(np.dstack([image] * 3))
 
 
-@BOTH
+@EVERY
 def test_at_most_as_many_points_as_asked_for_and_no_fewer_than_needed(settings: Settings) -> None:
     from dataclasses import replace
 
@@ -97,21 +101,21 @@ def test_at_most_as_many_points_as_asked_for_and_no_fewer_than_needed(settings: 
         make_extractor(replace(settings, points=9000, min_points=9000), LENS).extract(image)
 
 
-@BOTH
+@EVERY
 def test_pictures_of_another_size_are_refused(settings: Settings) -> None:
     for shape in ((1, 1), (250, 251), (500, 500, 3)):
         with pytest.raises(InputError, match="but the lens is 250 x 250"):
             make_extractor(settings, LENS).extract(np.zeros(shape, np.uint8))
 
 
-@BOTH
+@EVERY
 def test_gray_and_colored_gray_are_the_same(settings: Settings) -> None:
     image = disk(LENS, (150.0, 120.0), 50.0)
     a, b = (make_extractor(settings, LENS).extract(x).edges.points for x in (image, np.dstack([image] * 3)))
     assert len(a) == len(b) and (a - b).norm(dim=1).median() < 1e-3
 
 
-@BOTH
+@EVERY
 def test_the_same_picture_gives_the_same_bits(settings: Settings) -> None:
     lens = LENS.resized(125, 125)
     extractor = make_extractor(settings, lens)
@@ -125,7 +129,7 @@ def test_the_same_picture_gives_the_same_bits(settings: Settings) -> None:
             assert torch.equal(first.edges.points, again.edges.points) and torch.equal(first.maps, again.maps)
 
 
-@BOTH
+@EVERY
 def test_settings_survive_as_plain_data(settings: Settings) -> None:
     data = settings_to_dict(settings)
     assert settings_from_dict(data) == settings and isinstance(data["kind"], str)

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -36,5 +37,10 @@ def test_sinkhorn_is_as_the_choosing_phantoms_had_it_best() -> None:
     assert right["sinkhorn, epsilon 0.05, dummies at 0.2"] == max(right.values()) > right["nearest"]
 
 
+def test_both_sides_differ_from_the_default_in_that_alone() -> None:
+    found = instantiate(OmegaConf.load(FOLDER / "both_sides.yaml"))
+    assert found == replace(default_matching(), method=Nearest("sum", keep=1.0))
+
+
 def test_every_file_is_a_known_choice() -> None:
-    assert {path.stem for path in FOLDER.glob("*.yaml")} == {*METHODS, "default"}
+    assert {path.stem for path in FOLDER.glob("*.yaml")} == {*METHODS, "default", "both_sides"}

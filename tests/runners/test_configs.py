@@ -14,7 +14,7 @@ from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.autonomy import AutonomySettings
 from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.exploration import ExplorationSettings
-from ursnav_torch.features import DefaultSettings, ThesisSettings
+from ursnav_torch.features import DefaultSettings, RimSettings, ThesisSettings
 from ursnav_torch.localization import LocalizationSettings
 from ursnav_torch.rendering import FlatLight, HeadLight, RaycastRenderer
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings
@@ -66,6 +66,7 @@ def test_every_choice_composes(root: str, group: str, choice: str) -> None:
     [
         ("build_vid", "camera=equidistant", equidistant_camera()),
         ("build_vid", "features=default", DefaultSettings()),
+        ("build_vid", "features=rims", RimSettings()),
         ("build_vid", "features=thesis", ThesisSettings()),
         ("build_vid", "views=planned", PlanSettings()),
         ("match", "localization=default", LocalizationSettings()),

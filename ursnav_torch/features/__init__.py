@@ -5,7 +5,14 @@ from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.flatten import LocalPlane
 from ursnav_torch.features.image import IMAGE_SUFFIXES, check_image, image_from_bytes, read_image
 from ursnav_torch.features.polar import PolarGrid, polar_grid, polar_maps, polar_valid
-from ursnav_torch.features.registry import Settings, make_extractor, settings_from_dict, settings_to_dict
+from ursnav_torch.features.registry import (
+    Settings,
+    make_extractor,
+    relief_extractor,
+    settings_from_dict,
+    settings_to_dict,
+)
+from ursnav_torch.features.rims import RimExtractor, RimSettings
 from ursnav_torch.features.static import StillPixels, scene_of
 from ursnav_torch.features.thesis import ThesisExtractor, ThesisSettings
 
@@ -21,6 +28,8 @@ __all__ = [
     "Features",
     "LocalPlane",
     "PolarGrid",
+    "RimExtractor",
+    "RimSettings",
     "Settings",
     "StillPixels",
     "ThesisExtractor",
@@ -32,6 +41,7 @@ __all__ = [
     "polar_maps",
     "polar_valid",
     "read_image",
+    "relief_extractor",
     "scene_of",
     "settings_from_dict",
     "settings_to_dict",

@@ -155,10 +155,11 @@ class DefaultExtractor:
             FeatureError: too few of them.
         """
         s = self.settings
-        ridge = thin_gradient(relief, s.contour_blur * self._unit) * self._contour_mask * valid
+        ridge, across = self._ridges(relief)
+        ridge = ridge * self._contour_mask * valid
         edges = self._edges(ridge)
         scale = (self.camera.width / self.working_camera.width, self.camera.height / self.working_camera.height)
-        found = edge_points(edges, self._slope(relief, s.contour_blur), ridge, scale)
+        found = edge_points(edges, across, ridge, scale)
         if len(found) < s.min_points:
             raise FeatureError(
                 f"The picture has {len(found)} edge points; at least {s.min_points} are needed to match it."
@@ -167,6 +168,11 @@ class DefaultExtractor:
         full = np.repeat(np.repeat(edges, max(1, round(scale[1])), 0), max(1, round(scale[0])), 1)
         return found.subset(torch.as_tensor(keep)), full
 
+    def _ridges(self, relief: Tensor) -> tuple[Tensor, Tensor]:
+        """Strength (h, w) of the edges of a relief (h, w), 0 off the ridges, and what they run across (2, h, w)."""
+        smoothing = self.settings.contour_blur
+        return thin_gradient(relief, smoothing * self._unit), self._slope(relief, smoothing)
+
     def through(self, scene: NDArray[np.bool_]) -> "DefaultExtractor":
         """The extractor of the same lens where it shows the scene in a part (H, W) alone, see `features.static`.
 
@@ -174,7 +180,7 @@ class DefaultExtractor:
             InputError: the part has another size than the lens.
         """
         narrow = replace(self.camera, mask=mask_text(self.camera.pixel_rays()[1] & scene))
-        extractor = DefaultExtractor(self.settings, narrow, self._learned)
+        extractor = type(self)(self.settings, narrow, self._learned)
         extractor._partial = True
         return extractor
 

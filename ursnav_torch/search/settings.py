@@ -60,12 +60,16 @@ class SearchSettings:
 VIDEO_SEARCH = SearchSettings(shape_weight=0.0, tilt_step_deg=5.0, tilt_rounds=2)
 
 
-def default_matching() -> Matching:
-    """Shape contexts of 40 px reach with position and edge direction in the cost, query to view."""
+def default_matching(both_sides: bool = False) -> Matching:
+    """Shape contexts of 40 px reach with position and edge direction in the cost, query to view.
+
+    With ``both_sides`` the view's points must be found in the query, too, which points on dark rims profit from, see
+    `benchmarks.finalists`.
+    """
     return Matching(
         ShapeContext(r_inner=5.0, r_outer=40.0, scale=1.0),
         PairCost(position_weight=1.0, direction_weight=1.0),
-        Nearest(keep=1.0),
+        Nearest("sum" if both_sides else "query_to_view", keep=1.0),
     )
 
 

@@ -20,10 +20,10 @@ from ursnav_torch.features import (
     NO_EDGES,
     NO_MAPS,
     NOTHING_BEFORE,
-    DefaultExtractor,
     DefaultSettings,
     Features,
     StillPixels,
+    relief_extractor,
 )
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import inverse
@@ -139,7 +139,7 @@ class Tracker:
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
         self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
-        self._whole = self._extractor = DefaultExtractor(vid.settings, vid.camera, s.reading.learned)
+        self._whole = self._extractor = relief_extractor(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._extractor.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
         if not views.scans:
