@@ -1,16 +1,14 @@
 """The kidney's drawing rests in proportion to its cost: the page's own script in a real browser, by simulated time."""
 
 import itertools
-import shutil
 
 import pytest
+from browsing import BROWSED, chromium
 
 from ursnav_torch.page import PageServer
 
 pytest.importorskip("uvicorn")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")]
+pytestmark = BROWSED
 
 #: For so many ms of simulated time drawings of so many ms each are asked for every 10 ms; tells when each began.
 SIMULATED = """async ([url, lasts, cost, hurried]) => {
@@ -35,15 +33,11 @@ SIMULATED = """async ([url, lasts, cost, hurried]) => {
 @pytest.fixture(scope="module")
 def simulated():
     """Call `SIMULATED` in a page of ours."""
-    from playwright.sync_api import sync_playwright
-
     server = PageServer("live.html", {}, {}, ("127.0.0.1", 0))
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as browser:
         tab = browser.new_page()
         tab.goto(f"{server.url}/static/icon.svg")
         yield lambda *given: tab.evaluate(SIMULATED, [f"{server.url}/static/pace.js", *given])
-        browser.close()
     server.stop()
 
 

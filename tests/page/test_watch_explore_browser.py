@@ -1,21 +1,19 @@
 """An exploration from end to end in simulated time, watched in a real browser."""
 
 import re
-import shutil
 import threading
 import time
 from contextlib import contextmanager
 
 import pytest
+from browsing import BROWSED, chromium
 from small_explorations import explore_whole, small_vid
 
 from ursnav_torch.page import web_page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 PATIENCE_S = 300.0
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")]
+pytestmark = BROWSED
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +41,9 @@ def watched(phantom, lens, tmp_path_factory):
 
 
 def test_a_whole_exploration_is_watched_until_every_calyx_is_inspected(watched):
-    from playwright.sync_api import sync_playwright
-
     page, looks, brought, session = watched
     errors, said = [], set()
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with chromium() as browser:
         tab = browser.new_page(viewport={"width": 1000, "height": 700})
         tab.set_default_timeout(1e3 * PATIENCE_S)
         tab.on("pageerror", lambda error: errors.append(str(error)))
@@ -65,7 +60,6 @@ def test_a_whole_exploration_is_watched_until_every_calyx_is_inspected(watched):
         strip = [re.sub(r"\s+", " ", text) for text in tab.locator("#strip button").all_inner_texts()]
         assert len(strip) == 3 and all("inspected" in text or "✓" in text for text in strip), strip
         assert errors == []
-        browser.close()
     page.controls.stop()
     session.join(timeout=PATIENCE_S)
     assert brought[0].explored.finished and {v.verdict for v in brought[0].explored.visits} == {"inspected"}

@@ -10,7 +10,7 @@ from typing import Any
 
 from ursnav_torch.devices import Frame
 from ursnav_torch.kidney import set_words
-from ursnav_torch.navigation import WORDS, NavigationState, Navigator, confidence_words
+from ursnav_torch.navigation import NavigationState, Navigator, confidence_words
 from ursnav_torch.page.commands import Command
 from ursnav_torch.page.overlays import cloud, scope_overlays
 from ursnav_torch.page.pictures import PagePictures, jpeg
@@ -230,7 +230,7 @@ def state_values(state: NavigationState, rate: float) -> dict[str, Any]:
     g, t, T = state.guidance, state.latency, state.T_kidney_camera
     parts = {"waiting": t.waiting_s, "features": t.features_s, "tracking": t.tracking_s, "painting": t.painting_s}
     stages = ", ".join(f"{name} {1e3 * seconds:.0f}" for name, seconds in parts.items())
-    latency = f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second. {WORDS[state.effort]}"
+    latency = f"picture to pose {1e3 * t.total_s:.0f} ms ({stages}); {rate:.1f} poses a second."
     share = max(0.0, min(1.0, state.confidence))
     return {
         "version": state.version,

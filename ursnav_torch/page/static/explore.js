@@ -1,5 +1,5 @@
 // The page to fly through a kidney by hand.
-import { $, atFrame, connect, hold, keys, put } from "./link.js";
+import { $, atFrame, connect, hold, keys, put, putWhole } from "./link.js";
 import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
 import { scopeView } from "./scope.js";
@@ -18,7 +18,7 @@ const send = connect({
   said(m) { put($("said"), m.text); put($("notice"), ""); },
   notice(m) { put($("notice"), m.text); },
 });
-kidneyView($("kidney"), (name) => go(name)).then((found) => { view = found; window.kidney = found; if (state) show(state); });
+kidneyView($("kidney"), (name) => go(name)).then((found) => { if (!found) { $("picking").disabled = true; return; } view = found; window.kidney = found; if (state) show(state); });
 
 function go(name) { $("chosen").value = name; send("go_to", name); }
 
@@ -37,7 +37,7 @@ function build(m) {
 }
 
 function show(m) {
-  put($("status"), m.status);
+  putWhole($("status"), m.status);
   if (m.calyces.join("\n") !== names.join("\n")) {
     const at = Math.max($("chosen").selectedIndex, 0);
     names = m.calyces;

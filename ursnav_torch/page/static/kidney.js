@@ -2,6 +2,7 @@
 import * as THREE from "./vendor/three.module.min.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 import { paced } from "./pace.js";
+import { words } from "./words.js";
 
 const TISSUE = [0.88, 0.58, 0.57], SEEN = [0.25, 0.72, 0.4];
 const COLORS = { inspected: 0x63d07a, glimpsed: 0xf2b53c, unseen: 0xff6f64, "out of reach": 0x9aa5ae };
@@ -14,7 +15,10 @@ const LOOK_MS = 5;
 // Share of the pane that the kidney fills.
 const FILLED = 0.9;
 
+// Kept with null where the browser cannot draw in three dimensions; the pane says so then.
 export async function kidneyView(pane, onCalyx) {
+  const canvas = pane.querySelector("canvas"), drawnBy = graphics();
+  if (drawnBy === null) { sayInstead(pane, canvas); return null; }
   const buffer = await (await fetch("/kidney.bin")).arrayBuffer();
   const end = new Uint8Array(buffer).indexOf(10);
   const about = JSON.parse(new TextDecoder().decode(buffer.slice(0, end)));
@@ -24,8 +28,7 @@ export async function kidneyView(pane, onCalyx) {
   const vector = (v) => new THREE.Vector3(...v);
   const center = vector(about.center), unit = about.scale;
 
-  const canvas = pane.querySelector("canvas");
-  const software = isSoftware();
+  const software = /swiftshader|llvmpipe|software|basic render/i.test(drawnBy);
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, alpha: true });
   const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(40, 1, 1, 40 * about.extent);
   camera.up.copy(vector(about.up));
@@ -180,16 +183,23 @@ export async function kidneyView(pane, onCalyx) {
   };
 }
 
-// Whether the browser draws without a graphics card.
-function isSoftware() {
-  const gl = document.createElement("canvas").getContext("webgl2"), info = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+// What the browser draws with, as far as it tells; null where it has no WebGL.
+function graphics() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const info = gl.getExtension("WEBGL_debug_renderer_info"), name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
+}
+
+function sayInstead(pane, canvas) {
+  const said = document.createElement("p");
+  said.className = "instead"; said.textContent = words.labels.undrawn;
+  canvas.hidden = true; pane.append(said);
 }
 
 // Arrow keys turn the kidney, plus and minus bring it nearer and farther.
 export const turningKeys = (view) => ({
-  arrowleft: () => view().turn(-0.15, 0), arrowright: () => view().turn(0.15, 0), arrowup: () => view().turn(0, -0.15), arrowdown: () => view().turn(0, 0.15),
-  "+": () => view().zoom(0.9), "-": () => view().zoom(1.1),
+  arrowleft: () => view()?.turn(-0.15, 0), arrowright: () => view()?.turn(0.15, 0), arrowup: () => view()?.turn(0, -0.15), arrowdown: () => view()?.turn(0, 0.15),
+  "+": () => view()?.zoom(0.9), "-": () => view()?.zoom(1.1),
 });

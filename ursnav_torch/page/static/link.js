@@ -33,6 +33,17 @@ export const atFrame = (action) => new Promise((done, failed) => requestAnimatio
 export const $ = (id) => document.getElementById(id);
 export const put = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 
+// Put a text whole: in small letters where it would be cut off, and anew when the window has another size.
+export const putWhole = (element, text) => {
+  if (element.textContent === text) return;
+  element.textContent = element.title = text; fitLetters(element);
+  if (!element.dataset.whole) { element.dataset.whole = "true"; addEventListener("resize", () => fitLetters(element)); }
+};
+const fitLetters = (element) => {
+  element.classList.remove("small");
+  element.classList.toggle("small", element.scrollHeight > element.clientHeight || element.scrollWidth > element.clientWidth);
+};
+
 // While a button or a key is held, do something ten times a second.
 export function hold(button, action) {
   let timer = 0;

@@ -1,5 +1,5 @@
 // The page of a live session or a record: shows what the program sends, passes on what is pressed.
-import { $, atFrame, connect, hold, keys, put } from "./link.js";
+import { $, atFrame, connect, hold, keys, put, putWhole } from "./link.js";
 import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
 import { scopeView } from "./scope.js";
@@ -28,7 +28,10 @@ const send = connect({
   replay(m) { put($("play"), m.playing ? words.labels.pause : words.labels.play); put($("time"), `${m.at_s.toFixed(1)} s`); if (!seeking) $("at").value = m.at_s; },
   notice(m) { put($("notice"), m.text); },
 });
-kidneyView($("kidney"), (name) => send("choose", name)).then((found) => { view = found; window.kidney = found; Object.values(pending).forEach((action) => action()); if (state) show(state); });
+kidneyView($("kidney"), (name) => send("choose", name)).then((found) => {
+  if (!found) { const cloud = document.querySelector("[data-shows=cloud]"); cloud.disabled = true; cloud.setAttribute("aria-pressed", "false"); return; }
+  view = found; window.kidney = found; Object.values(pending).forEach((action) => action()); if (state) show(state);
+});
 
 // A line a stone; the list has a size of its own and scrolls, so that it moves nothing.
 function list(stones) {
@@ -62,14 +65,14 @@ function build(m) {
 function take(m) { if (!state || m.version >= state.version) { state = m; show(m); } }
 
 function show(m) {
-  put($("status"), m.status); $("status").title = m.status;
+  putWhole($("status"), m.status);
   put($("tag"), m.calyx ? `${m.may_be} · ${m.words}` : m.place || m.words);
   put($("words"), m.pose ? `${m.words} (${Math.round(100 * m.confidence)} %)` : m.words);
   $("bar").style.transform = `scaleX(${m.confidence})`;
   $("bar").parentElement.className = `bar ${m.confidence >= 0.9 ? "inspected" : m.confidence >= 0.6 ? "glimpsed" : "unseen"}`;
   put($("robot"), `${words.robot}: ${m.robot || words.unheard}${m.autonomy ? ` · ${m.autonomy}` : ""}`); put($("notice-robot"), m.notice);
   $("pilot").setAttribute("aria-pressed", String(!m.by_hand));
-  put($("latency"), m.latency); $("latency").dataset.state = m.version;
+  put($("latency"), m.latency); $("latency").title = m.latency; $("latency").dataset.state = m.version;
   const rows = new Map(m.coverage.map((row) => [row[0], row]));
   for (const cell of cells) {
     const [, , verdict = "unseen", share = 0] = rows.get(cell.name) ?? [];

@@ -9,7 +9,8 @@ export const words = {
     fly: "Fly", calyx: "calyx", go: "Go there", newName: "new name", rename: "Rename", collect: "Collect", take: "Take this view",
     count: "views a calyx", plan: "Plan views again", picking: "Pick landmarks: click the kidney", unpick: "Take back the last landmark",
     leave: "End", save: "Save", alike: "What looks alike", alikeHint: "Rows what is shown, columns what it was taken for, % of the row.",
-    help: "Keys", report: "Report", rows: "Rows (CSV)",
+    help: "Keys",
+    undrawn: "The kidney is not drawn: this browser has no WebGL. The rest of the page goes on. To see the kidney, turn on graphics acceleration in the browser's settings and load the page again.", report: "Report", rows: "Rows (CSV)",
   },
   hints: {
     scope: "What the scope sees", kidney: "The kidney with the scope in it", virtual: "What the scope should see here", controls: "Controls",
