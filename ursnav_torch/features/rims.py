@@ -16,8 +16,8 @@ from ursnav_torch.features.flatten import masked_blur
 @dataclass(frozen=True, slots=True)
 class RimSettings(DefaultSettings):
     """As `DefaultSettings`, with other points: `contour_blur` smooths before the Hessian, `low` and `high` are
-    percentiles of its eigenvalue on the ridges. The smoothing, and the points themselves, are chosen by shapes alone on
-    phantoms, see `benchmarks.finalists`.
+    percentiles of its eigenvalue on the ridges. The smoothing was chosen by shapes alone on phantoms, see the
+    notes of `benchmarks.finalists`, which compares these points with the default's.
     """
 
     contour_blur: float = 0.0096
