@@ -126,10 +126,12 @@ def test_mixed_series_are_listed(scan: Scan, tmp_path: Path) -> None:
 
 
 def test_two_phases_in_one_series_are_refused(scan: Scan, tmp_path: Path) -> None:
+    pydicom = pytest.importorskip("pydicom")
     write_dicom(scan, tmp_path)
     for path in tmp_path.glob("slice*.dcm"):
-        path.rename(tmp_path / f"a_{path.name}")
-    write_dicom(scan, tmp_path)
+        later = pydicom.dcmread(path)
+        later.SOPInstanceUID = later.file_meta.MediaStorageSOPInstanceUID = f"{later.SOPInstanceUID}.2"
+        later.save_as(tmp_path / f"a_{path.name}")
     with pytest.raises(InputError, match="pairs of slices at the same place"):
         read_scan(tmp_path)
 
