@@ -60,14 +60,11 @@ system:
 	  fi; \
 	fi
 
-# A browser for the tests of the page, and a judge of DICOM objects; without them those tests are skipped.
+# A browser for the tests of the page, and a judge of DICOM objects (dciodvfy); without them those tests are skipped.
 system-dev:
-	@if command -v dpkg >/dev/null && ! dpkg -s $(DEV_PACKAGES) >/dev/null 2>&1; then \
+	@if command -v dpkg >/dev/null && ! { command -v chromium && command -v dciodvfy; } >/dev/null; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    apt-get update -qq; \
-	    for package in $(DEV_PACKAGES); do \
-	      DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$package || echo "not installed: $$package"; \
-	    done; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(DEV_PACKAGES); \
 	  else \
 	    echo "some tests need a browser and dciodvfy: sudo apt-get install $(DEV_PACKAGES)"; \
 	  fi; \
