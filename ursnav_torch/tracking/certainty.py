@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 #: Added to a spread before its logarithm is taken, mm and degrees: hypotheses are no finer.
 _FINEST_MM, _FINEST_DEG = 0.1, 1.0
 #: Standard deviations within which nine of ten positions are; errors have heavier tails than a Gaussian's. From weights
-#: learned before; those of today, on flights of phantoms that taught nothing, ask for 1.78, with a robot's word for 1.41
-#: (``python -m benchmarks.flights half=choosing fit=true``), so that this is a little careful.
+#: learned before; those of today, on flights of phantoms that taught nothing, ask for 1.78, and with a robot's word for
+#: 1.41 (``python -m benchmarks.flights half=choosing fit=true``), so that this is a little careful.
 REGION_90 = 1.84
 #: Radius, in standard deviations of an axis, within which two of three points of a Gaussian in space are (chi, 3).
 _RADIUS_SD = 1.88
