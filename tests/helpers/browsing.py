@@ -61,7 +61,7 @@ class Tab:
         self.tab.goto("about:blank")
         yield
         self.tab.goto(url)
-        self.tab.wait_for_selector("#strip button")
+        self.wait(lambda text: "%" in text, "strip")  # the calyces come before the first state
 
     def press(self, part):
         """Press a button by its id, as a keyboard does: it has the focus, and Enter is pressed."""

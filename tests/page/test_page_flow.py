@@ -71,6 +71,18 @@ def test_a_page_that_never_says_it_has_shown_anything_is_sent_one_state_and_one_
     assert not server.wanted("scope") and server.wanted("virtual")
 
 
+def test_a_page_that_opens_later_is_told_no_state_older_than_the_one_beside_the_picture(served):
+    server, first = served()
+    server.publish("state", number=1)
+    server.publish_picture("scope", b"", "state", number=2)
+    with connected(server) as later:
+        server.publish("end")
+        assert [next_of(later) for _ in range(2)] == [("scope", 2), ("end", None)]
+        server.publish("state", number=3)
+        assert next_of(later) == ("state", 3)
+    assert next_of(first)[0] in ("state", "scope")
+
+
 def test_a_slow_page_gets_the_newest(served):
     server, socket = served()
     publish_many(server, 0, 1)

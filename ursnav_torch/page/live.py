@@ -171,7 +171,7 @@ class LivePage:
             height, width = frame.image.shape[:2]
             over = scope_overlays(state, self._vid) | {"edges": edge_strokes(state.edges)}
             picture = jpeg(self._pictures.scope(frame.image))
-            self.server.publish_picture("scope", picture, state=values, width=width, height=height, **over)
+            self.server.publish_picture("scope", picture, "state", state=values, width=width, height=height, **over)
 
     def _values(self, state: NavigationState) -> dict[str, Any]:
         """The state's words and numbers; how fast all is stays for a while, so that it can be read."""

@@ -54,11 +54,12 @@ class Mailbox:
         """How many pages read."""
         return len(self._readers)
 
-    def put(self, kind: str, message: Message) -> None:
-        """Leave a message; it replaces the last of its kind. Never waits."""
+    def put(self, kind: str, message: Message, holds: str = "") -> None:
+        """Leave a message; it replaces the last of its kind, and of a kind whose newest it holds. Never waits."""
         with self._lock:
             self._count += 1
-            self._newest.pop(kind, None)
+            for replaced in (kind, holds):
+                self._newest.pop(replaced, None)
             self._newest[kind] = self._count, message
             self._wake_all()
 

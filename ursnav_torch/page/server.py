@@ -105,9 +105,9 @@ class PageServer:
         """Send plain values to all pages; who opens one later gets the last of every kind."""
         self._mailbox.put(kind, msgspec.json.encode({"kind": kind, **values}).decode())
 
-    def publish_picture(self, kind: str, jpeg: bytes, **values: Any) -> None:
-        """Send a picture: a line of JSON with the values, then the bytes."""
-        self._mailbox.put(kind, msgspec.json.encode({"kind": kind, **values}) + b"\n" + jpeg)
+    def publish_picture(self, kind: str, jpeg: bytes, holds: str = "", **values: Any) -> None:
+        """Send a picture: a line of JSON with the values, then the bytes; what was left of a kind it holds is old."""
+        self._mailbox.put(kind, msgspec.json.encode({"kind": kind, **values}) + b"\n" + jpeg, holds)
 
     def stop(self) -> None:
         """End the server and its pages' connections."""
