@@ -1,5 +1,5 @@
 // The page to fly through a kidney by hand.
-import { $, atFrame, connect, hold, keys, put, putWhole } from "./link.js";
+import { $, connect, hold, keys, put, putWhole } from "./link.js";
 import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
 import { scopeView } from "./scope.js";
@@ -13,8 +13,8 @@ let view = null, state = null, names = [];
 
 const send = connect({
   about(m) { if (!$("moves").children.length) build(m); },
-  state: (m) => atFrame(() => { state = m; show(m); }),
-  scope: (m) => atFrame(() => scope.show(m)),
+  state(m) { state = m; show(m); },
+  scope: scope.show,
   said(m) { put($("said"), m.text); put($("notice"), ""); },
   notice(m) { put($("notice"), m.text); },
 });

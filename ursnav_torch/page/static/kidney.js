@@ -10,8 +10,6 @@ const STONE = { there: 0xffb52e, gone: 0x9aa5ae };
 const CLOUD = 0xffe08a, FRUSTUM_MM = 3.5;
 // No picture is drawn wider: the time goes with its pixels, and most without a graphics card.
 const WIDEST_PX = 1200, WIDEST_SOFTWARE_PX = 640;
-// Time between looks whether a drawing is done.
-const LOOK_MS = 5;
 // Share of the pane that the kidney fills.
 const FILLED = 0.9;
 
@@ -82,13 +80,13 @@ export async function kidneyView(pane, onCalyx) {
 
   // A drawing is done when the graphics card says so: the page goes on meanwhile.
   const gl = renderer.getContext();
-  const drawn = () => new Promise((done) => {
-    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), end = () => { gl.deleteSync(fence); done(); };
-    gl.flush();
-    const look = () => { if (!fence || gl.isContextLost() || gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.SIGNALED) end(); else setTimeout(look, LOOK_MS); };
-    setTimeout(look);
-  });
-  const { ask, askNow } = paced(() => { renderer.render(scene, camera); place(); }, drawn);
+  let fence = null;
+  const draw = () => {
+    renderer.render(scene, camera); place();
+    gl.deleteSync(fence); fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0); gl.flush();
+  };
+  const isDrawn = () => !fence || gl.isContextLost() || gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.SIGNALED;
+  const { ask, askNow } = paced(draw, isDrawn);
   const fit = () => {
     const { clientWidth: width, clientHeight: height } = pane;
     renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5, (software ? WIDEST_SOFTWARE_PX : WIDEST_PX) / Math.max(width, 1))); renderer.setSize(width, height, false);

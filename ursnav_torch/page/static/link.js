@@ -1,7 +1,9 @@
 // The connection to the program: JSON texts, and pictures as a line of JSON and a JPEG. It comes back by itself.
 // The program hears of every message when it is shown, and sends the next of that kind only then: no queue can grow.
+import { atFrame } from "./pace.js";
 import { words } from "./words.js";
 
+// `handlers`, by kind, show a message: in the frame that is drawn next, and none of a connection that another has followed.
 export function connect(handlers) {
   let socket = null;
   const open = () => {
@@ -12,7 +14,7 @@ export function connect(handlers) {
       const [m, picture] = read(data);
       try {
         if (picture) m.bitmap = await createImageBitmap(picture);
-        await handlers[m.kind]?.(m);
+        await atFrame(() => { if (own === socket) handlers[m.kind]?.(m); });
       } finally { if (own.readyState === 1) own.send(JSON.stringify({ shown: m.kind })); }
     };
     own.onclose = () => { handlers.notice?.({ text: words.lost }); setTimeout(open, 1000); };
@@ -26,9 +28,6 @@ function read(data) {
   const bytes = new Uint8Array(data), end = bytes.indexOf(10);
   return [JSON.parse(new TextDecoder().decode(bytes.subarray(0, end))), new Blob([bytes.subarray(end + 1)], { type: "image/jpeg" })];
 }
-
-// Do something with the next frame that the browser draws; kept when that is done.
-export const atFrame = (action) => new Promise((done, failed) => requestAnimationFrame(() => { try { done(action()); } catch (error) { failed(error); } }));
 
 export const $ = (id) => document.getElementById(id);
 export const put = (element, text) => { if (element.textContent !== text) element.textContent = text; };

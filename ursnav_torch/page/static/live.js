@@ -1,5 +1,5 @@
 // The page of a live session or a record: shows what the program sends, passes on what is pressed.
-import { $, atFrame, connect, hold, keys, put, putWhole } from "./link.js";
+import { $, connect, hold, keys, put, putWhole } from "./link.js";
 import { gamepad } from "./gamepad.js";
 import { kidneyView, turningKeys } from "./kidney.js";
 import { scopeView } from "./scope.js";
@@ -17,9 +17,9 @@ const slug = (verdict) => verdict.replaceAll(" ", "-");
 
 const send = connect({
   about(m) { state = null; if (!about) { about = m; build(m); } },
-  state: (m) => atFrame(() => take(m)),
-  scope: (m) => atFrame(() => { scope.show(m); take(m.state); }),
-  virtual: (m) => atFrame(() => { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); }),
+  state: take,
+  scope(m) { scope.show(m); take(m.state); },
+  virtual(m) { const c = $("virtual"); if (c.width !== m.bitmap.width) { c.width = m.bitmap.width; c.height = m.bitmap.height; } c.getContext("2d").drawImage(m.bitmap, 0, 0); m.bitmap.close(); },
   ways(m) { later("ways", () => view.ways(m.path, m.route)); },
   seen(m) { later("seen", () => view.seen(m.patches)); },
   stones(m) { list(m.stones); later("stones", () => view.stones(m.stones)); },
