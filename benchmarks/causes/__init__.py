@@ -8,16 +8,28 @@ pose would be preferred. A still is right when it names the true calyx; where th
 Arguments, each ``key=value``: ``data=DIR`` (a folder a kidney, see `benchmarks.shared.kidneys`) ``work=DIR`` (keeps the
 VIDs) ``styles=tissue`` (names with + between them) ``stride=1`` (every so many stills) ``within_mm=4 within_deg=25``
 (what is near the truth) ``out=FILE.json``.
+
+    python -m benchmarks.causes work=DIR phantoms=4 vary=coarse_px=40,52
+
+takes the first phantoms that certainty is learned from in place of ``data``, with ``pictures=12`` of each of its kinds
+and ``views=60`` (a calyx). ``vary=`` compares values of a setting of refinement or of localization by them; the tables
+then have the CPU time of a still besides, which the true pose's alignment counts in where the answer is wrong.
 """
 
+import sys
+import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.causes.choices import DEFAULT, choices
+from benchmarks.certainty.population import phantom_stills, vid_of_phantom
 from benchmarks.shared.kidneys import Still, data_folder, kidneys_with, stills, vid_of
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from ursnav_torch.alignment import Refiner
@@ -28,6 +40,7 @@ from ursnav_torch.threads import one_thread_an_operation
 
 DEFAULTS = {
     "data": "", "work": "", "styles": "tissue", "stride": 1, "within_mm": 4.0, "within_deg": 25.0, "out": "",
+    "phantoms": 0, "pictures": 12, "views": 60, "vary": "",
 }  # fmt: skip
 RIGHT, UNREAD, SEARCH, ALIGNMENT, RANKING = "right", "too little seen", "search", "alignment", "ranking"
 Array = NDArray[np.float64]
@@ -45,9 +58,22 @@ class Near:
 def main(arguments: Sequence[str]) -> int:
     """Run the suite, print its tables and write its JSON file."""
     settings = overrides(DEFAULTS, arguments)
-    work, folder = work_folder(settings, "the kidneys' VIDs"), data_folder(settings["data"])
+    work = work_folder(settings, "the kidneys' VIDs")
     report = Report("causes", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
     near = Near(settings["within_mm"], settings["within_deg"])
+    if settings["phantoms"]:
+        tell_phantoms(report, settings, work, near)
+    elif settings["vary"]:
+        raise InputError("vary= chooses settings, and phantoms are what they are chosen by: give phantoms=4, say.")
+    else:
+        tell_kidneys(report, settings, work, near)
+    report.finish(settings["out"])
+    return 0
+
+
+def tell_kidneys(report: Report, settings: dict[str, Any], work: Path, near: Near) -> None:
+    """The causes of every kidney's stills, style by style."""
+    folder = data_folder(settings["data"])
     for style in str(settings["styles"]).split("+"):
         names = kidneys_with(folder, style)
         if not names:
@@ -57,8 +83,34 @@ def main(arguments: Sequence[str]) -> int:
             localizer, refiner = Localizer(vid), Refiner(vid)
             asked = stills(folder, name, style)[:: settings["stride"]]
             tell(report, f"{name}, {style}", [cause(localizer, refiner, still, near) for still in asked])
-    report.finish(settings["out"])
-    return 0
+
+
+def tell_phantoms(report: Report, settings: dict[str, Any], work: Path, near: Near) -> None:
+    """The causes of phantoms' stills, setting by setting: all of them together, and the share right of every kind."""
+    compared = choices(settings["vary"])
+    told: dict[str, list[tuple[str, tuple[str, bool], float]]] = {name: [] for name in compared}
+    for seed in range(settings["phantoms"]):
+        vid = vid_of_phantom(seed, settings["views"], work)
+        ways = {
+            name: (Localizer(vid, settings=choice.localization, alignment=choice.alignment),
+                   Refiner(vid, choice.alignment))
+            for name, choice in compared.items()
+        }  # fmt: skip
+        for still in phantom_stills(vid, settings["pictures"], seed):
+            for name, (localizer, refiner) in ways.items():
+                start = time.process_time()
+                found = cause(localizer, refiner, still, near)
+                told[name].append((still.style, found, 1e3 * (time.process_time() - start)))
+        print(f"phantom {seed} asked", file=sys.stderr, flush=True)
+    for name, of in told.items():
+        group = "phantoms" if name == DEFAULT else f"phantoms, {name}"
+        tell(report, group, [found for _, found, _ in of])
+        for kind in dict.fromkeys(kind for kind, _, _ in of):
+            right = [found[0] == RIGHT for own, found, _ in of if own == kind]
+            report.add(
+                group, f"right, {kind}", "%", [100 * sum(right) / len(right)], f"{sum(right)}/{len(right)}", len(right)
+            )
+        report.add(group, "a still", "ms", [spent for _, _, spent in of], "CPU time")
 
 
 def cause(localizer: Localizer, refiner: Refiner, still: Still, near: Near) -> tuple[str, bool]:

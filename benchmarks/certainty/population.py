@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.shared.kidneys import Still
 from benchmarks.shared.phantoms import phantom_vid
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.localization.fitting import Asked
-from ursnav_torch.localization.learn import ask, nothing_queries, simulated_queries
+from ursnav_torch.localization.learn import Query, ask, nothing_queries, simulated_queries
 from ursnav_torch.localization.learned import asked_from_table, evidence_table
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset
@@ -83,19 +84,32 @@ def vid_of_phantom(seed: int, views: int, work: Path) -> Vid:
 
 def _asked(vid: Vid, pictures: int, views: int, seed: int) -> list[dict[str, Any]]:
     """``pictures`` of every kind, and twice as many of nothing."""
-    rng, presets = np.random.default_rng(70_000 + seed), kinds()
-    each = round(pictures * len(presets) / (len(vid.kidney.calyces) + 1)) + 1
-    plan = replace(
-        PlanSettings(), views_per_calyx=each, passage_views=each, around=0.0, roll_deg=180.0, seed=501 + seed
-    )
-    shuffled = _shuffled(presets, rng)
+    rng = np.random.default_rng(70_000 + seed)
     queries = chain(
-        simulated_queries(vid, RaycastRenderer, plan, rng, shuffled),
+        _drawn(vid, pictures, seed, rng),
         nothing_queries(vid, RaycastRenderer, rng, 2 * pictures),
     )
     asked = ask(Localizer(vid), queries, lambda n: None)
     table = evidence_table(asked)
     return [row | {"kidney": seed, "kind": a["kind"]} for row, a in zip(table, asked, strict=True)]
+
+
+def _drawn(vid: Vid, pictures: int, seed: int, rng: np.random.Generator) -> Iterator[Query]:
+    """``pictures`` of every kind."""
+    presets = kinds()
+    each = round(pictures * len(presets) / (len(vid.kidney.calyces) + 1)) + 1
+    plan = replace(
+        PlanSettings(), views_per_calyx=each, passage_views=each, around=0.0, roll_deg=180.0, seed=501 + seed
+    )
+    return simulated_queries(vid, RaycastRenderer, plan, rng, _shuffled(presets, rng))
+
+
+def phantom_stills(vid: Vid, pictures: int, seed: int) -> Iterator[Still]:
+    """The same pictures of a phantom's calyces, ``pictures`` of every kind, which is their style."""
+    for n, query in enumerate(_drawn(vid, pictures, seed, np.random.default_rng(70_000 + seed))):
+        if query.calyx >= 0:
+            calyx = vid.calyx_name(query.calyx)
+            yield Still(f"phantom {seed}", query.preset, str(n), query.image, calyx, query.T_kidney_camera)
 
 
 def _shuffled(presets: Mapping[str, Preset], rng: np.random.Generator) -> dict[str, Preset]:

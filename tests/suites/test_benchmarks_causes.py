@@ -1,12 +1,16 @@
 """The suite that sorts wrong answers by their cause, on stills whose cause is made."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks.causes import ALIGNMENT, RANKING, RIGHT, SEARCH, UNREAD, Near, cause, tell
+from benchmarks.causes import ALIGNMENT, RANKING, RIGHT, SEARCH, UNREAD, Near, cause, main, tell
+from benchmarks.causes.choices import DEFAULT, choices
 from benchmarks.shared.kidneys import Still
 from benchmarks.shared.results import Report
-from ursnav_torch.alignment import Refiner
+from ursnav_torch.alignment import RefinementSettings, Refiner
+from ursnav_torch.errors import InputError
 from ursnav_torch.localization import Localizer
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import Vid
@@ -66,3 +70,33 @@ def test_every_cause_has_its_row() -> None:
     assert shares == {RIGHT: 25.0, UNREAD: 0.0, SEARCH: 50.0, ALIGNMENT: 25.0, RANKING: 0.0}
     notes = {row.name: row.note for row in report.rows}
     assert notes[SEARCH] == "2/4, in 1 of them the true pose would be preferred to the answer"
+
+
+def test_settings_are_varied_one_at_a_time() -> None:
+    assert choices("")[DEFAULT].alignment == RefinementSettings()
+    varied = choices("coarse_px=40,52")
+    assert [choice.alignment for choice in varied.values()] == [RefinementSettings(coarse_px=n) for n in (40, 52)]
+    assert choices("pnp_starts=3")["pnp_starts=3"].localization.pnp_starts == 3
+    assert not choices("verify=false")["verify=false"].alignment.verify
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [("nothing=3", "names no setting"), ("coarse_px", "NAME=VALUE"), ("coarse_px=x", "no value of")],
+)
+def test_a_setting_that_is_none_is_refused(vary: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        choices(vary)
+
+
+def test_settings_are_not_chosen_by_given_kidneys(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([f"work={tmp_path}", "vary=coarse_px=40,52"]) != 0
+    assert "phantoms are what they are chosen by" in capsys.readouterr().err
+
+
+def test_phantoms_give_a_table_for_every_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "causes.json"
+    arguments = ["phantoms=1", "pictures=1", "views=6", "vary=hypotheses=1,2", f"out={out}"]
+    assert main([f"work={tmp_path}", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert all(words in printed for words in ("phantoms, hypotheses=1", "phantoms, hypotheses=2", "right, wide wall"))
