@@ -5,16 +5,18 @@
     python -m benchmarks.exploring work=DIR half=choosing        # the half that settings may be chosen with
     python -m benchmarks.exploring work=DIR half=choosing set=room_mm=3,turn_per_s=2    # other settings
 
-In every phantom one calyx is blocked by a stone that the map does not know; it and those whose way the scope's limits
-do not allow (`ScopeLimits`: too narrow, too bent) are out of reach. The scope has plays and breathes. What the
-explorer says is compared with the wall that the true poses saw; its path with the shortest tour through the calyces
-in reach, and to before the necks that it looked through, without and with the way to the stone. Seeds make the halves;
-results are kept in ``work`` for each phantom and setting, and the next call goes on from there. ``tissue=`` names what
-an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`). What a scope can see is
-what ``views`` a calyx see, and ``around`` times as many that look any way.
+In every phantom one calyx is blocked by a stone that the map does not know, but that pictures tell of (with true
+places, once it was in sight for long enough, with the errors of the map of stones). It and the calyces whose way the
+scope's limits do not allow (`ScopeLimits`: too narrow, too bent) are out of reach. The scope has plays and breathes.
+What the explorer says is compared with the wall that the true poses saw; its path with the shortest tour through the
+calyces in reach, and to before the necks that it looked through, without and with the way to the stone. Seeds make the
+halves; results are kept in ``work`` for each phantom and setting, and the next call goes on from there. ``tissue=``
+names what an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`). What a scope
+can see is what ``views`` a calyx see, and ``around`` times as many that look any way.
 """
 
 import hashlib
+import itertools
 import json
 import sys
 import tempfile
@@ -28,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from benchmarks.exploring.sight import StoneSight
 from benchmarks.exploring.tours import shortest_tours_mm
 from benchmarks.exploring.twins import Anatomy, anatomy_of, stone_in, tissue_of, twin_in
 from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population
@@ -45,6 +48,7 @@ from ursnav_torch.files import write_json
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, Rehearsed
 from ursnav_torch.simulation import SimulatedTime, Twin, TwinPilot
+from ursnav_torch.stones import FoundStone, StoneMapSettings, watch_stones
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
@@ -52,7 +56,7 @@ from ursnav_torch.vid import Vid
 Array = NDArray[np.float64]
 
 #: A change of their code makes results anew.
-ROOMS = ("autonomy", "exploration", "navigation", "simulation", "tracking")
+ROOMS = ("autonomy", "exploration", "navigation", "simulation", "stones", "tracking")
 TRUE, TRACKED = "true", "tracked"
 SETTINGS = {
     "phantoms": 8, "views": 60, "around": 0.0, "half": JUDGING, "pose": TRACKED, "seconds": 300.0,
@@ -60,6 +64,8 @@ SETTINGS = {
 }  # fmt: skip
 #: Noise of places that stand for a tracker's: mm and degrees, each axis.
 NOISE_MM, NOISE_DEG = 0.3, 1.5
+#: Stones are told anew every so many pictures: once a second, as live.
+STONES_EVERY = 15
 #: A shaft compressed by more pushes against a wall by force, mm.
 FORCED_MM = 0.5
 #: A tip so near to the stone's surface pushes against it, mm: what is kept off, and the breath.
@@ -118,7 +124,8 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
     explorer = Explorer(own, lumen, careful)
     clock = SimulatedTime()
     twin = twin_in(case, known, rng, clock, stone, tissue_of(settings["tissue"]))
-    locate = noisy_truth(rng) if known.vid is None else tracker_of(known.vid)
+    sight = StoneSight(known, stone, blocked, np.random.default_rng([case.seed, 24]))
+    locate = noisy_truth(rng, sight) if known.vid is None else tracker_of(known.vid)
     operator = None
     if settings["pose"] == TRACKED:  # a person leads in, to where the tracker finds its place
         operator = TwinPilot(twin, kidney, clock=clock)
@@ -164,31 +171,41 @@ def limits_passed(found: Rehearsed, limits: Limits) -> int:
     return int(too_bent.sum() + too_far.sum())
 
 
-def noisy_truth(rng: np.random.Generator) -> Callable[[Twin, float], PictureAnswer]:
-    """True places with noise."""
+def noisy_truth(rng: np.random.Generator, sight: StoneSight) -> Callable[[Twin, float], PictureAnswer]:
+    """True places with noise, and the stone once it was seen."""
 
     def locate(twin: Twin, t_s: float) -> PictureAnswer:
         turn = Rotation.from_rotvec(rng.normal(0, np.radians(NOISE_DEG), 3)).as_matrix()
-        T = twin.pose() @ transform_from(turn, rng.normal(0, NOISE_MM, 3))
-        return PictureAnswer(T, position_sd_mm=NOISE_MM * 3**0.5)
+        true = twin.pose()
+        T = true @ transform_from(turn, rng.normal(0, NOISE_MM, 3))
+        return PictureAnswer(T, position_sd_mm=NOISE_MM * 3**0.5, stones=sight.see(true, t_s))
 
     return locate
 
 
 def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
-    """Places from the pictures, by the tracker as it runs live, with what the robot reports."""
+    """Places and stones from the pictures, by the tracker as it runs live, with what the robot reports."""
     tracker = Tracker(vid)
+    watch = watch_stones(tracker, StoneMapSettings())
+    frames = itertools.count()
+    stones: tuple[FoundStone, ...] = ()
 
     def locate(twin: Twin, t_s: float) -> PictureAnswer:
+        nonlocal stones
         joints = twin.scope.drive.joints(twin.axes_mm())
         odometry = OdometryReading(joints.insertion_mm, joints.bend_x_rad, joints.bend_y_rad)
-        tracked = tracker.follow(tracker.extract(twin.image()), t_s, None, None, odometry)
+        image = twin.image()
+        tracked = tracker.follow(tracker.extract(image), t_s, None, None, odometry)
+        frame = next(frames)
+        watch.see(tracked, image, t_s, frame)
+        if frame % STONES_EVERY == 0:
+            stones = watch.stones.stones()
         if tracked.state != TRACKING or tracked.T_kidney_camera is None or not np.isfinite(tracked.score):
-            return PictureAnswer(None)
+            return PictureAnswer(None, stones=stones)
         sure = tracked.certainty
         calyces = () if sure is None else tuple(c for c in sure.calyces if c >= 0)
         sd = None if sure is None else sure.position_sd_mm
-        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled, tracker.slider_play_mm)
+        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled, tracker.slider_play_mm, stones)
 
     return locate
 

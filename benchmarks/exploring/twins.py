@@ -12,7 +12,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.rendering.sensor import PRESETS, severity, simulate
+from ursnav_torch.rendering.sensor import PRESETS, Stone, severity, simulate_labeled
 from ursnav_torch.simulation import Scope, SimulatedTime, Tissue, TissueSettings, Twin, World
 from ursnav_torch.simulation.world import swelling_renderer
 from ursnav_torch.vid import PlanSettings, Vid
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 DISTURBANCES = {"breathing": "breathes", "swelling": "swells", "bleeding": "bleeds", "buckling": "buckles"}
 #: The stone lies so far before the tip of its calyx, or as far as the calyx's own branch goes, mm.
 STONE_MM = 9.0
+#: Its reflectance, pale and yellow, and its roughness.
+_STONE_BGR, _STONE_BUMPS = (0.55, 0.75, 0.85), 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +66,7 @@ def twin_in(
         known: its kidney and lens.
         rng: draws plays, faults and roll.
         clock: by which the kidney breathes, swells and bleeds.
-        stone: x, y, z and radius of the stone, which the map does not know.
+        stone: x, y, z and radius of the stone, which the map does not know; the pictures show it.
         on: what an operation does.
     """
     kidney, lumen = known.kidney, known.lumen
@@ -73,12 +75,19 @@ def twin_in(
     drawn = np.random.default_rng([case.seed, 22])
     tissue = Tissue(on, np.random.default_rng([case.seed, 23]), kidney.scale)
     walls = tissue.clearance(lumen.clearance_mm, clock)
+    shown = Stone(stone[:3], np.full(3, stone[3]), np.eye(3), _STONE_BGR, _STONE_BUMPS, case.seed)
     world = World(kidney, RaycastRenderer(kidney.mesh, known.camera), redraw=lambda m: RaycastRenderer(m, known.camera))
     renderer = swelling_renderer(world, tissue, clock)
     start = kidney.centerline.points_mm[0]
+
+    def picture(T: Array) -> NDArray[np.uint8]:
+        now = renderer()
+        image = simulate_labeled(now.render(T), now.camera, T, faults, drawn, (shown,)).image
+        return tissue.picture(image, clock())
+
     return Twin(
         lambda p: np.minimum(walls(p), np.linalg.norm(p - stone[:3], axis=1) - stone[3]),
-        lambda T: tissue.picture(simulate(renderer(), T, faults, drawn), clock()),
+        picture,
         look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi))),
         replace(scope, friction=tissue.friction),
         breathing=lambda: tissue.breath_mm(clock()),

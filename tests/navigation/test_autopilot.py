@@ -1,14 +1,19 @@
 """Autonomy's hands: what the operator holds and touches decides, and the robot's gate has the last word."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ursnav_torch.autonomy import AutonomySettings, Perception, State, Wish
 from ursnav_torch.devices import Gamepad, OperatorInput, Stamp
-from ursnav_torch.navigation.autopilot import Autopilot, glare_share
+from ursnav_torch.exploration import ScopeLimits
+from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.navigation.autopilot import Autopilot, glare_share, make_autopilot
+from ursnav_torch.navigation.state import Guidance, NavigationState
 from ursnav_torch.simulation import SteppedRobot
+from ursnav_torch.stones import THERE, FoundStone, StoneList
 
 STAMP = Stamp(0, 0.0, 0.0)
 
@@ -114,3 +119,20 @@ def test_glare_is_the_share_of_white():
     image[:, :20] = 255
     assert glare_share(image) == 0.5
     assert glare_share(np.stack([image, image, np.zeros_like(image)], axis=2)) == 0.0
+
+
+def test_stones_that_navigation_tells_of_reach_the_explorer(rig, phantom, phantom_lumen, lens, vid):
+    _, robot, hands, _ = rig
+    stone = FoundStone(1, 0, np.zeros(3), np.eye(3), 4.0, 0.4, 9, 0.99, THERE, 0)
+    state = NavigationState(guidance=Guidance(stones=StoneList((stone,), ("",), (), False)))
+    guide = SimpleNamespace(coverage=Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera), limits=ScopeLimits())
+    navigator = SimpleNamespace(
+        guide=guide, tracker=SimpleNamespace(lumen=phantom_lumen), vid=vid,
+        bus=SimpleNamespace(latest=lambda: state), say_autonomy=lambda text: None,
+    )  # fmt: skip
+    pilot = make_autopilot(navigator, hands, SimpleNamespace(robot=robot, clock=None), AutonomySettings(), False)
+    told = []
+    pilot.explorer.step = lambda seen, may: told.append(seen.stones) or Wish()
+    pilot.connect()
+    pilot.read()
+    assert told == [(stone,)]

@@ -1,5 +1,7 @@
 """Exploring in simulated time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.geometry import look_along
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, SimulatedOperator
 from ursnav_torch.simulation import SimulatedTime, Twin
+from ursnav_torch.stones import THERE, FoundStone
 
 
 def rehearsal(phantom, phantom_lumen, lens, vid, holds=lambda t_s: True):
@@ -64,3 +67,14 @@ def test_silence_of_the_pictures_ends_motion(make):
     still = (t_s > 3.0) & (t_s < 4.0)
     places = np.array([T[:3, 3] for T in found.T_kidney_camera])[still]
     assert np.ptp(places, axis=0).max() == 0.0
+
+
+def test_stones_that_pictures_told_of_reach_the_explorer(make):
+    rehearsed, told = make(), []
+    stone = FoundStone(1, 0, np.zeros(3), np.eye(3), 4.0, 0.4, 9, 0.99, THERE, 0)
+    seen, step = rehearsed._locate, rehearsed.explorer.step
+    rehearsed._locate = lambda twin, t_s: replace(seen(twin, t_s), stones=(stone,) if t_s > 0.3 else ())
+    rehearsed.explorer.step = lambda seen, may: told.append((seen.seen_s, seen.stones)) or step(seen, may)
+    rehearsed.run(1.0)
+    assert {stones for seen_s, stones in told if seen_s <= 0.3} == {()}
+    assert {stones for seen_s, stones in told if seen_s > 0.35} == {(stone,)}

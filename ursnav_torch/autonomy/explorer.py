@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.autonomy.neck import Neck, find_neck
+from ursnav_torch.autonomy.neck import Bar, find_neck, find_stone
 from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
 from ursnav_torch.autonomy.perception import Perception, Permission, Wish
 from ursnav_torch.autonomy.settings import AutonomySettings
@@ -22,6 +22,7 @@ from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.kinematics import Segment
 from ursnav_torch.scaling import scaled
+from ursnav_torch.stones import FoundStone
 
 Array = NDArray[np.float64]
 
@@ -74,8 +75,8 @@ class Explorer:
         self.machine, self.target = StateMachine(), -1
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
-        self._necks = [find_neck(way, scaled(self._limits, self._unit), self._unit) for way in self._ways]
-        self._tour = Tour(self.kidney, s.standoff_mm, [n.end_mm if n is not None else np.inf for n in self._necks])
+        self._stones: tuple[FoundStone, ...] = ()
+        self._find_bars(())
         self._way: Way | None = None  # along which the scope came
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
@@ -110,6 +111,8 @@ class Explorer:
 
     def step(self, seen: Perception, may: Permission) -> Wish:
         """One cycle of control: what the joints shall do now. Still in every state that is not one of `MOVING`."""
+        if seen.stones != self._stones:
+            self._find_bars(seen.stones)
         self._permit(seen, may)
         state = self.machine.state
         if state in (State.WAITING, State.STOPPED, State.FINISHED):
@@ -121,6 +124,16 @@ class Explorer:
             self._to(State.LOOKING, seen, doubt)
         wish = self._act(seen, doubt)
         return wish if self.machine.state in MOVING else Wish()
+
+    def _find_bars(self, stones: tuple[FoundStone, ...]) -> None:
+        """Find what bars the ways, necks and stones, and where the tour ends before it."""
+        self._stones, limits = stones, scaled(self._limits, self._unit)
+        self._bars: list[Bar | None] = []
+        for way in self._ways:
+            met = (find_neck(way, limits, self._unit), find_stone(way, stones, limits, self._unit))
+            self._bars.append(min((bar for bar in met if bar), key=lambda bar: bar.end_mm, default=None))
+        ends = [np.inf if bar is None else bar.end_mm for bar in self._bars]
+        self._tour = Tour(self.kidney, self.settings.standoff_mm, ends)
 
     def _to(self, state: State, seen: Perception, reason: str) -> None:
         self.machine.to(state, seen.t_s, reason)
@@ -216,16 +229,16 @@ class Explorer:
         self._blocked, self._deepest_mm = "", 0.0
 
     def _leave_out_hidden(self) -> None:
-        """Leave out the calyces behind a neck that is too narrow, from before which next to nothing of them is seen."""
-        for calyx, (visit, neck) in enumerate(zip(self.visits, self._necks, strict=True)):
-            if neck is not None and visit.verdict == OPEN and self._shown(calyx, neck) < self._least[0]:
-                self.leave_out(calyx, neck.reason(visit.calyx))
+        """Leave out the calyces behind what bars the way, from before which next to nothing of them is seen."""
+        for calyx, (visit, bar) in enumerate(zip(self.visits, self._bars, strict=True)):
+            if bar is not None and visit.verdict == OPEN and self._shown(calyx, bar) < self._least[0]:
+                self.leave_out(calyx, bar.reason(visit.calyx))
 
-    def _shown(self, calyx: int, neck: Neck) -> float:
-        """Part of a calyx's wall, of what the scope can see of it, that shows from before a neck."""
+    def _shown(self, calyx: int, bar: Bar) -> float:
+        """Part of a calyx's wall, of what the scope can see of it, that shows from before what bars the way."""
         own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
         area = self.coverage.patches.area_mm2 * own
-        return float(area[self.coverage.in_view(neck.T_kidney_camera)].sum()) / max(float(area.sum()), 1e-9)
+        return float(area[self.coverage.in_view(bar.T_kidney_camera)].sum()) / max(float(area.sum()), 1e-9)
 
     def _retreat(self, seen: Perception, T: Array) -> Wish:
         """Back along the way that the scope came, until the way to the target lies ahead."""
@@ -260,9 +273,9 @@ class Explorer:
         if way.length_mm - at <= s.standoff_mm or self._share(self.target) >= s.done_share:
             self._look_around(seen)
             return Wish()
-        neck = self._necks[self.target]
-        if neck is not None and at >= neck.end_mm:
-            self._blocked = neck.reason(visit.calyx)
+        bar = self._bars[self.target]
+        if bar is not None and at >= bar.end_mm:
+            self._blocked = bar.reason(visit.calyx)
             self._look_around(seen)
             return Wish()
         if at > self._best_mm + _PROGRESS_MM * self._unit:

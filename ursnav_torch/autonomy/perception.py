@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.stones import FoundStone
+
 Array = NDArray[np.float64]
 
 
@@ -22,6 +24,7 @@ class Perception:
         insertion_mm: the insertion that it reports.
         slack_mm: play of the robot's slider, learned from pictures; None where nobody says.
         glare: share of the newest picture that is too bright to show anything.
+        stones: those that pictures told of until now.
     """
 
     t_s: float
@@ -33,6 +36,7 @@ class Perception:
     insertion_mm: float = 0.0
     slack_mm: float | None = None
     glare: float = 0.0
+    stones: tuple[FoundStone, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

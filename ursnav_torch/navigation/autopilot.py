@@ -115,6 +115,7 @@ def make_autopilot(
             at.insertion_mm,
             state.slack_mm,
             glare_share(frame.image) if frame is not None else 0.0,
+            state.guidance.stones.seen,
         )
 
     return Autopilot(hands, rig.robot, explorer, perceive, navigator.say_autonomy, quits)

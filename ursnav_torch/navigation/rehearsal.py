@@ -18,6 +18,7 @@ from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.navigation.autopilot import Autopilot
 from ursnav_torch.session.control import Control
 from ursnav_torch.simulation import SimulatedTime, SteppedRobot, Twin
+from ursnav_torch.stones import FoundStone
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,7 @@ class PictureAnswer:
         position_sd_mm: how far off it may be; None where nobody says.
         settled: whether the wall seen may be counted.
         slack_mm: the slider's play as it was learned; None where nobody says.
+        stones: those that pictures told of until now.
     """
 
     T_kidney_camera: Array | None
@@ -42,6 +44,7 @@ class PictureAnswer:
     position_sd_mm: float | None = None
     settled: bool = True
     slack_mm: float | None = None
+    stones: tuple[FoundStone, ...] = ()
 
 
 #: Makes a sighting of the scope as it is at a time, s.
@@ -204,4 +207,5 @@ class Rehearsal:
             np.array([at.bend_x_rad, at.bend_y_rad]),
             at.insertion_mm,
             sighting.slack_mm,
+            stones=sighting.stones,
         )

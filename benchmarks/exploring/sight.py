@@ -1,0 +1,51 @@
+"""The stone in a phantom as pictures tell of it: through the map of stones, or in its stead where none are drawn."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.exploring.twins import Anatomy
+from ursnav_torch.rendering import RayScene
+from ursnav_torch.stones import THERE, FoundStone
+
+Array = NDArray[np.float64]
+
+#: The map tells a stone after so many seconds in sight, nearer than this, mm.
+_TOLD_S, _NEARER_MM = 2.0, 15.0
+#: Errors of its place, mm an axis, and of its size, as a share: what ``python -m benchmarks.stones`` gave.
+_PLACE_MM, _SIZE = 0.3, 0.2
+#: How sure the map says to be of the size, as a share.
+_SIZE_SD = 0.15
+
+
+class StoneSight:
+    """Tells of a stone once the lens has seen it for long enough, with the errors that the map of stones has.
+
+    Args:
+        known: the kidney and the lens.
+        stone: x, y, z and radius of the stone.
+        calyx: index of the calyx that it closes.
+        rng: draws the errors.
+    """
+
+    def __init__(self, known: Anatomy, stone: Array, calyx: int, rng: np.random.Generator) -> None:
+        self._camera, self._scene, self._stone = known.camera, RayScene(known.kidney.mesh), stone
+        size = 2 * float(stone[3]) * float(np.exp(rng.normal(0, _SIZE)))
+        center = stone[:3] + rng.normal(0, _PLACE_MM, 3)
+        spread = _PLACE_MM**2 * np.eye(3)
+        self._told = FoundStone(1, calyx, center, spread, size, _SIZE_SD * size, 1, 0.99, THERE, 0)
+        self._seen_s, self._last_s = 0.0, 0.0
+
+    def see(self, T_kidney_camera: Array, t_s: float) -> tuple[FoundStone, ...]:
+        """What is told after a picture from a true pose (4, 4)."""
+        self._seen_s += (t_s - self._last_s) * self._shows(T_kidney_camera)
+        self._last_s = t_s
+        return (self._told,) if self._seen_s >= _TOLD_S else ()
+
+    def _shows(self, T: Array) -> bool:
+        """Whether the middle of the stone's near side is in the picture."""
+        way = self._stone[:3] - T[:3, 3]
+        distance = float(np.linalg.norm(way))
+        near = distance - float(self._stone[3])
+        if not 0 < near < _NEARER_MM or not self._camera.project((way @ T[:3, :3])[None])[1][0]:
+            return False
+        return bool(self._scene.depth_mm(T[:3, 3], way[None] / distance)[0] >= near)
