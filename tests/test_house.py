@@ -24,6 +24,7 @@ MANY_PARAMETERS = {
     "GrblRobot.__init__": "each is one line of the robot's YAML",
     "OpenCvCamera.__init__": "each is one line of the camera's YAML",
     "register.landmarks_job": "each is one line of the registration's YAML",
+    "make_twin": "each is one line of the twin's YAML",
     "build_rig": "one parameter a device: the rig's config composes them",
     "demo.run_demo": "what the runner was told, once",
     "match.match_images": "what the runner was told, once",

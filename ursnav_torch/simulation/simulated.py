@@ -1,8 +1,9 @@
 """The simulated devices: the real drivers, each with its counterpart behind a pseudo-terminal or socket."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ursnav_torch.devices import Frame, GrblRobot, NdiTracker, OpenIgtlTracker, 
 from ursnav_torch.devices.cameras import LensCamera
 from ursnav_torch.errors import DeviceTimeoutError, InputError
 from ursnav_torch.geometry import look_along
+from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.simulation.em_field import EmField
 from ursnav_torch.simulation.grbl_board import GrblBoard
 from ursnav_torch.simulation.igtl_tracker import SimulatedIgtlTracker
@@ -20,6 +22,10 @@ from ursnav_torch.simulation.tissue import TissueSettings, draw_tissue
 from ursnav_torch.simulation.twin import Scope, Twin
 from ursnav_torch.simulation.world import Draw, World, operated_twin
 
+if TYPE_CHECKING:
+    from ursnav_torch.rendering.sensor import Stone
+    from ursnav_torch.simulation.stones import ObstructedLumen
+
 
 def make_twin(
     world: World,
@@ -28,6 +34,7 @@ def make_twin(
     sensor: str | None = None,
     seed: int = 0,
     tissue: TissueSettings | None = None,
+    stones: int = 0,
 ) -> Twin:
     """A scope that lies withdrawn in a kidney's pelvis and looks to the middle of its calyces.
 
@@ -37,28 +44,46 @@ def make_twin(
         em: the EM tracker's world.
         sensor: preset of what spoils its pictures (``thesis_simulation``, ``thesis_phantom``, ``in_vivo_like``); None
             for clean ones, gray.
-        seed: of the faults, and of the tissue.
+        seed: of the faults, of the tissue and of the stones.
         tissue: what an operation does to the kidney: breath, swelling, bleeding, a shaft that buckles; None for
             nothing.
+        stones: how many lie on the wall, as `StoneSettings` draws them; they stop the scope, and its pictures show
+            them. With 0, a preset's pictures may show some that lie nowhere.
 
     Raises:
-        InputError: an unknown preset, or the root of the centerline lies in a wall.
+        InputError: an unknown preset, stones without one, or the root of the centerline lies in a wall.
     """
     start = world.kidney.centerline.points_mm[0]
     T_kidney_start = look_along(start, world.kidney.tips_mm.mean(axis=0) - start)
     drawn = draw_tissue(tissue, [seed, 1], world.kidney.scale)
-    return operated_twin(world, T_kidney_start, scope, drawn, em, _faulty(sensor, seed))
+    if not stones:
+        return operated_twin(world, T_kidney_start, scope, drawn, em, _faulty(sensor, seed))
+    if sensor is None:
+        raise InputError(f"stones={stones} need pictures that can show them: give sensor=thesis_simulation or another.")
+    lumen, laid = _with_stones(world, stones, np.random.default_rng([seed, 2]))
+    return operated_twin(replace(world, lumen=lumen), T_kidney_start, scope, drawn, em, _faulty(sensor, seed, laid))
 
 
-def _faulty(sensor: str | None, seed: int) -> Draw:
-    """What spoils the pictures of a preset; clean ones without."""
+def _with_stones(world: World, count: int, rng: np.random.Generator) -> "tuple[ObstructedLumen, tuple[Stone, ...]]":
+    """A world's lumen with stones in it, and the stones."""
+    from ursnav_torch.simulation.stones import ObstructedLumen, lay_stones  # brings torch, as in `_faulty`
+
+    lumen = LumenDistance.from_kidney(world.kidney) if world.lumen is None else world.lumen
+    if isinstance(lumen, ObstructedLumen):
+        raise InputError("The world has stones already; give stones=0.")
+    stones = lay_stones(world.kidney, lumen, count, rng)
+    return ObstructedLumen(lumen, stones), stones
+
+
+def _faulty(sensor: str | None, seed: int, stones: "tuple[Stone, ...] | None" = None) -> Draw:
+    """What spoils the pictures of a preset, with the stones that lie there; clean ones without a preset."""
     if sensor is None:
         return lambda renderer, T: renderer.render(T).image
-    from ursnav_torch.rendering.sensor import severity, simulate  # brings torch, for which a lab need not wait
+    from ursnav_torch.rendering.sensor import severity, simulate_labeled  # brings torch, for which a lab need not wait
 
     rng = np.random.default_rng(seed)
     faults = severity(sensor, 0.5, rng)
-    return lambda renderer, T: simulate(renderer, T, faults, rng)
+    return lambda renderer, T: simulate_labeled(renderer.render(T), renderer.camera, T, faults, rng, stones).image
 
 
 class TwinCamera(LensCamera):

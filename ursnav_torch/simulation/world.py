@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -15,6 +16,9 @@ from ursnav_torch.simulation.em_field import EmField
 from ursnav_torch.simulation.tissue import Tissue
 from ursnav_torch.simulation.twin import Scope, Twin
 
+if TYPE_CHECKING:
+    from ursnav_torch.simulation.stones import ObstructedLumen
+
 
 @dataclass(frozen=True, slots=True)
 class World:
@@ -23,14 +27,15 @@ class World:
     Attributes:
         kidney: the anatomy.
         renderer: draws it through the scope's lens.
-        lumen: its distances where they are known already, as a VID knows them; None finds them when a twin is made.
+        lumen: its distances where they are known already, as a VID knows them, or with what lies in it; None finds
+            them when a twin is made.
         redraw: makes what draws the kidney once its wall has moved; None draws it where it was.
         clock: seconds by which it breathes, swells and bleeds.
     """
 
     kidney: Kidney
     renderer: Renderer
-    lumen: LumenDistance | None = None
+    lumen: "LumenDistance | ObstructedLumen | None" = None
     redraw: Callable[[trimesh.Trimesh], Renderer] | None = None
     clock: Callable[[], float] = time.monotonic
 
