@@ -12,7 +12,7 @@ from benchmarks.safety.bench import KINDS, Bench
 from benchmarks.safety.resets import LIMITS, PAST_MM, face_faults
 from ursnav_torch.devices import JointRates, Joints, RosserialRobot
 from ursnav_torch.devices.robots.place import Place
-from ursnav_torch.devices.robots.recent_orders import LATE_S, PAST_S, UNSEEN_S, QueuedJogs, RecentOrders, is_against
+from ursnav_torch.devices.robots.recent_orders import DELAY_S, LATE_S, UNSEEN_S, QueuedJogs, RecentOrders, is_against
 from ursnav_torch.errors import DeviceError, DeviceNotConnectedError
 
 
@@ -203,22 +203,31 @@ def test_a_stop_after_a_reset_that_nobody_heard_of_does_not_hide_it(moment):
 
 def test_orders_of_late_span_what_no_report_has_told():
     orders, forth = RecentOrders(), np.array([0, 10.0, 400.0])
-    orders.add(5.0, forth)
-    np.testing.assert_allclose(orders.unseen(5.1), [[0, 0, 0], UNSEEN_S * forth])
-    orders.add(5.1, -forth)
-    np.testing.assert_allclose(orders.unseen(5.2), [-UNSEEN_S * forth, UNSEEN_S * forth])
-    np.testing.assert_allclose(orders.unseen(5.01 + PAST_S), [-UNSEEN_S * forth, [0, 0, 0]])
-    orders.clear()
+    orders.add(5.1, forth)
+    np.testing.assert_allclose(orders.unseen(5.0), [[0, 0, 0], UNSEEN_S * forth])
+    orders.add(5.2, -forth)
+    np.testing.assert_allclose(orders.unseen(5.1), [-UNSEEN_S * forth, UNSEEN_S * forth])
+    np.testing.assert_allclose(orders.unseen(5.11 + DELAY_S), [-UNSEEN_S * forth, [0, 0, 0]])
+    orders.sent(5.5)  # late: it lasts for longer than any order, as the report knows it
+    np.testing.assert_allclose(orders.unseen(5.2), [-(0.3 + DELAY_S) * forth, [0, 0, 0]])
+    assert not orders.are_over(5.49 + DELAY_S) and orders.are_over(5.51 + DELAY_S)
     assert not np.any(orders.unseen(5.2))
 
 
 def test_jogs_that_a_board_has_queued_add_up():
     jogs = QueuedJogs()
-    jogs.add(5.0, np.array([0, 0.1, 1.0]))
-    jogs.add(5.1, np.array([0, 0.1, -0.5]))
-    np.testing.assert_allclose(jogs.unmade(4.9), [[0, 0, -0.5], [0, 0.2, 1.0]])
-    np.testing.assert_allclose(jogs.unmade(5.01 + LATE_S), [[0, 0, -0.5], [0, 0.1, 0]])
-    assert not np.any(jogs.unmade(5.11 + LATE_S))
+    for ends_s, step in ((5.0, [0, 0.1, 1.0]), (5.1, [0, 0.1, -0.5])):
+        jogs.add(np.array(step))
+        jogs.taken(ends_s)
+    jogs.reported(4.99 + LATE_S)
+    np.testing.assert_allclose(jogs.unmade(), [[0, 0, -0.5], [0, 0.2, 1.0]])
+    jogs.reported(5.01 + LATE_S)
+    np.testing.assert_allclose(jogs.unmade(), [[0, 0, -0.5], [0, 0.1, 0]])
+    jogs.add(np.array([0, 0, 2.0]))  # not known to be taken: it may yet be made at any time
+    jogs.reported(1000.0)
+    np.testing.assert_allclose(jogs.unmade(), [[0, 0, 0], [0, 0, 2.0]])
+    jogs.clear()
+    assert not np.any(jogs.unmade())
 
 
 def test_a_board_that_dropped_jogs_is_not_sent_past_a_limit():

@@ -40,6 +40,8 @@ ERRORS = {
     "20": "unsupported command",
     "22": "feed rate missing",
 }
+#: States in which nothing moves and nothing is queued.
+AT_REST = ("Idle", "Alarm")
 ALARMS = {"1": "hard limit hit", "2": "target beyond travel", "3": "reset while moving, position may be lost"}
 #: State and machine position; boards with more than three axes tell those of all.
 REPORT = re.compile(r"<(\w+)(?::\d+)?\|MPos:([-+.,\w ]+)(?:\|[^<>]*)?>")
@@ -91,7 +93,7 @@ class GrblRobot(Robot):
         self._offset_mm = np.zeros(3)
         self._resets, self._queued = ResetWatch(ROUNDING_MM), QueuedJogs()
         self._axes_mm: Array | None = None  # where all that was sent will end; None: ask the board first
-        self._reported_s = -math.inf  # when the board last said where it stands
+        self._reported_s = -math.inf  # when the board was asked where it stands, and said so
         self._reset_s = -math.inf  # when the board was last reset by hand
         self._busy_until_s = 0.0
         self._velocity = np.zeros(3)
@@ -102,7 +104,7 @@ class GrblRobot(Robot):
         """Dim the LED; GRBL refuses this while jogging (error 9), so motion pauses for it."""
         self._check_connected()
         speed = round(min(max(level, 0.0), 1.0) * self._settings[30])
-        with self._lock:
+        with self._exchange():
             self._level = speed / self._settings[30]
             if self.gate.state != STOPPED:
                 self._halt()
@@ -119,8 +121,7 @@ class GrblRobot(Robot):
         if state == "Alarm":
             self.gate.emergency_stop("the controller woke up in alarm")
         else:
-            self._mark()
-            axes = self._status(self.deadline_s)[1]
+            axes = self._mark()
         self._offset_mm, self._axes_mm = axes, np.zeros(3)
         self.place.set(self._axes_mm)
 
@@ -165,18 +166,20 @@ class GrblRobot(Robot):
         words = "".join(f"{axis}{value:.5f}" for axis, value in zip("XYZ", step, strict=True) if value)
         axes = self._axes_mm
         ahead = self.place.axes if axes is None else axes
-        back, forth = self._queued.unmade(now)
+        back, forth = self._queued.unmade()
         dropped = ahead - np.where(step > 0, back, forth)
         if self._may_pass_a_limit(step, ahead, is_against(step, back, forth), dropped):
+            self._reported_s = -math.inf  # ask first next time: it may have been made by then
             return JointRates()
         end = ahead + step
-        for way in (end, dropped + step):  # the board may have been reset since it last told its mark
-            self.place.sent(way)
+        self.place.moves(step)  # from anywhere: the board may have been reset since it last told its mark
         self._resets.sent(step)
-        self._queued.add(max(now, self._busy_until_s) + duration + ramp, step)
+        self._queued.add(step)
         self._jog(f"$J=G21G91{words}F{feed:.2f}")
+        ends_s = max(time.monotonic(), self._busy_until_s) + duration + ramp  # it may have taken the jog only now
+        self._queued.taken(ends_s)
         self._axes_mm = None if self._axes_mm is None else end
-        self._busy_until_s, self._velocity = max(now, self._busy_until_s) + duration + ramp, velocity
+        self._busy_until_s, self._velocity = ends_s, velocity
         joints = self.drive.joints(step / duration)
         self._rates = JointRates(joints.bend_x_rad, joints.bend_y_rad, joints.insertion_mm)
         return self._rates
@@ -223,8 +226,7 @@ class GrblRobot(Robot):
         self._doubt(counts)
         if state == "Alarm":
             self._ask("$X")
-        self._mark()
-        counts = self._status(self.deadline_s)[1]
+        counts = self._mark()
         self._doubt(counts)  # it may have been reset before it was marked
         at = counts - self._offset_mm
         self._axes_mm = at if self.place.report(at, at) else None
@@ -234,17 +236,30 @@ class GrblRobot(Robot):
     def _recount(self, axes: Array) -> None:
         if self.gate.state != STOPPED:  # else it is done when the stop is acknowledged
             self._come_to_rest()
-            self._mark()
-        self._offset_mm = self._status(self.deadline_s)[1] - axes
+            counts = self._mark()
+        else:
+            counts = self._status(self.deadline_s)[1]
+        self._offset_mm = counts - axes
         self._axes_mm = axes
 
-    def _mark(self) -> None:
-        """Set the mark that a reset wipes, see `reset_watch`; the board must stand still and be unlocked."""
+    def _mark(self) -> Array:
+        """Set the mark that a reset wipes, see `reset_watch`; the board must stand still and be unlocked.
+
+        Returns:
+            The machine position (3,) thereafter.
+
+        Raises:
+            DeviceProtocolError: the board was reset meanwhile, by another thread's stop or by itself.
+        """
         self._ask(MARK)
         seen = any(is_mark(line) for line in self._ask(ASK_STATE))
         if not seen:
             logger.warning("%s: the board does not tell its feed rate ($G); a reset may go unseen.", self.port)
         self._resets.set(seen)
+        counts = self._status(self.deadline_s)[1]
+        if self._resets.marked != seen or self._reset_s > -math.inf:
+            raise DeviceProtocolError(f"{self.port}: the board was reset meanwhile; acknowledge once more.")
+        return counts
 
     def _doubt(self, counts: Array) -> None:
         """While stopped and without a mark: lose the place where counts (3,) may be those of a board that was reset.
@@ -266,12 +281,15 @@ class GrblRobot(Robot):
             raise DeviceProtocolError(f"{self.port}: GRBL is in alarm; look for the cause, then acknowledge.")
         if self._resets.wiped:
             self._doubt(axes)
-        at, moving, ends = axes - self._offset_mm, state not in ("Idle", "Alarm"), self._axes_mm
+        at, moving, ends = axes - self._offset_mm, state not in AT_REST, self._axes_mm
         if moving and ends is None:
             self.place.check(at)
-        elif self.place.report(at, at) and moving:
-            for way in self._queued.unmade(time.monotonic()):
-                self.place.sent(at + way)
+        elif self.place.report(at, at):
+            least, most = (at + way for way in self._queued.unmade())
+            self.place.sent(least)
+            self.place.sent(most)
+            if self._axes_mm is not None and ends is not None:  # the guardian may have cancelled a jog
+                self._axes_mm = np.clip(ends, least, most)
         return moving
 
     def _settle(self) -> Array:
@@ -280,7 +298,10 @@ class GrblRobot(Robot):
         Raises:
             DeviceProtocolError: it does not come to rest, or the place is lost.
         """
-        at = self._come_to_rest() - self._offset_mm
+        counts = self._come_to_rest()
+        if self._resets.wiped:  # by a stop that came first
+            self._doubt(counts)
+        at = counts - self._offset_mm
         if not self.place.report(at, at):
             raise DeviceProtocolError(f"{self.port}: {self.place.why_lost}.")
         self._axes_mm = at
@@ -355,12 +376,17 @@ class GrblRobot(Robot):
 
     def _status(self, timeout_s: float) -> tuple[str, Array]:
         """Machine state and machine position (3,) in mm; where the board has lost its mark, the place is lost."""
+        asked_s = time.monotonic()
         line = self._report(timeout_s)
         found = REPORT.fullmatch(line)
         words = found[2].split(",") if found else []
         if not found or len(words) < 3:
             raise DeviceProtocolError(f"{self.port}: unreadable status {line!r}; GRBL needs $10=1 (MPos).")
-        self._reported_s = time.monotonic()
+        self._reported_s = asked_s
+        if found[1] in AT_REST:
+            self._queued.clear()
+        else:
+            self._queued.reported(asked_s)
         what = f"{self.port}: a position in {line!r}"
         return found[1], np.array([device_number(word, what, -FARTHEST_MM, FARTHEST_MM) for word in words[:3]])
 

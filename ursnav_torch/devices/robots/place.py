@@ -45,6 +45,10 @@ class Place:
         """Motion was sent that ends at (3,)."""
         self._low, self._high = np.minimum(self._low, end), np.maximum(self._high, end)
 
+    def moves(self, step: Array) -> None:
+        """Motion by (3,) was sent, to be made wherever what was sent before has taken the axes, or has not."""
+        self._low, self._high = self._low + np.minimum(step, 0.0), self._high + np.maximum(step, 0.0)
+
     def report(self, axes: Array, ends: Array) -> bool:
         """Take the controller's report (3,); motion under way ends at ``ends``, which is ``axes`` at a standstill.
 

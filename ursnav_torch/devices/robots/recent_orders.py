@@ -1,5 +1,6 @@
 """What velocities were ordered of late: the motion that a board may have made, or not, since its newest report."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -7,11 +8,11 @@ from numpy.typing import NDArray
 
 from ursnav_torch.geometry import Array
 
-#: Motion that the newest report does not tell: it is up to 0.05 s old when it comes, orders end 0.14 s after that, and
-#: they or the report may have come 0.03 s late.
+#: Motion that the newest report does not tell, at least: it is up to 0.05 s old when it comes, and orders end 0.14 s
+#: after that; then comes `DELAY_S`.
 UNSEEN_S = 0.22
-#: Orders that were sent before this were carried out, or replaced, before the newest report.
-PAST_S = 0.3
+#: An order comes to the board this long after it was sent, at most.
+DELAY_S = 0.03
 
 
 class RecentOrders:
@@ -20,40 +21,62 @@ class RecentOrders:
     def __init__(self) -> None:
         self._orders: deque[tuple[float, Array]] = deque()
 
-    def add(self, now: float, velocity: Array) -> None:
-        """A velocity (3,) was ordered."""
-        self._orders.append((now, velocity))
+    def add(self, ends_s: float, velocity: Array) -> None:
+        """A velocity (3,) is about to be ordered until a time."""
+        self._orders.append((ends_s, velocity))
 
-    def clear(self) -> None:
-        """The motors rest, and their place is told."""
-        self._orders.clear()
+    def sent(self, ends_s: float) -> None:
+        """The newest order was sent, maybe late, and lasts until then."""
+        self._orders[-1] = ends_s, self._orders[-1][1]
 
-    def unseen(self, now: float) -> tuple[Array, Array]:
-        """How far back and forth, (3,) each, the motors may be from the newest report."""
-        while self._orders and now - self._orders[0][0] > PAST_S:
+    def are_over(self, told_s: float) -> bool:
+        """Whether a report made at ``told_s`` or later tells all that was ordered."""
+        while self._orders and self._orders[0][0] + DELAY_S < told_s:
             self._orders.popleft()
+        return not self._orders
+
+    def unseen(self, told_s: float) -> tuple[Array, Array]:
+        """How far back and forth, (3,) each, the motors may get from a report made at ``told_s`` or later."""
+        if self.are_over(told_s):
+            return np.zeros(3), np.zeros(3)
+        lasts_s = max(UNSEEN_S, max(ends_s for ends_s, _ in self._orders) + DELAY_S - told_s)
         ordered = np.array([np.zeros(3), *(velocity for _, velocity in self._orders)])
-        return UNSEEN_S * ordered.min(axis=0), UNSEEN_S * ordered.max(axis=0)
+        return lasts_s * ordered.min(axis=0), lasts_s * ordered.max(axis=0)
 
 
-#: A jog is surely made this long after it should have ended.
+#: A jog is surely made this long after it should have ended: ramps are reckoned with, not known.
 LATE_S = 0.1
 
 
 class QueuedJogs:
-    """Interval arithmetic on jogs that a board makes one after the other: those that it may not have made yet."""
+    """Interval arithmetic on jogs that a board makes one after the other: those not made by the newest report.
+
+    When a jog ends is told from when the board said that it took it, and which are made from when the newest report was
+    asked for: between the host's other moments any time may pass, on a machine that is busy.
+    """
 
     def __init__(self) -> None:
         self._jogs: deque[tuple[float, Array]] = deque()
 
-    def add(self, ends_s: float, step: Array) -> None:
-        """A jog by (3,) was sent that should end at a time."""
-        self._jogs.append((ends_s, step))
+    def add(self, step: Array) -> None:
+        """A jog by (3,) is about to be sent; when it ends is not known."""
+        self._jogs.append((math.inf, step))
 
-    def unmade(self, now: float) -> tuple[Array, Array]:
-        """How far back and forth, (3,) each, the axes may still go from where they are."""
-        while self._jogs and now - self._jogs[0][0] > LATE_S:
+    def taken(self, ends_s: float) -> None:
+        """The board has taken the newest jog, which should end at a time."""
+        self._jogs[-1] = ends_s, self._jogs[-1][1]
+
+    def reported(self, asked_s: float) -> None:
+        """The board has told where it is, having been asked at a time."""
+        while self._jogs and asked_s - self._jogs[0][0] > LATE_S:
             self._jogs.popleft()
+
+    def clear(self) -> None:
+        """The board has told that it stands still."""
+        self._jogs.clear()
+
+    def unmade(self) -> tuple[Array, Array]:
+        """How far back and forth, (3,) each, the axes may have gone from the newest report, or may still go."""
         steps = np.array([np.zeros(3), *(step for _, step in self._jogs)])
         return np.minimum(steps, 0.0).sum(axis=0), np.maximum(steps, 0.0).sum(axis=0)
 

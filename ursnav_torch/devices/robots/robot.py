@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,11 +112,11 @@ class Robot(Device):
         """The operator confirms that a robot whose place was lost stands where it was last certain.
 
         Raises:
-            DeviceError: the controller cannot be asked.
+            DeviceError: the controller cannot be asked; the robot was stopped as well as it can be.
         """
         self._check_connected()
         if not self.place.is_known:
-            with self._lock:
+            with self._exchange():
                 self._recount(self.place.axes)
                 self.place.confirm()
 
@@ -124,12 +124,13 @@ class Robot(Device):
         """The operator says where the robot stands, for example straight and withdrawn after homing by hand.
 
         Raises:
-            DeviceError: the controller cannot be asked.
+            DeviceError: the controller cannot be asked; the robot was stopped as well as it can be.
         """
         self._check_connected()
-        with self._lock:
-            self._recount(self._axes_of(joints))
-            self.place.set(self._axes_of(joints))
+        axes = self._axes_of(joints)
+        with self._exchange():
+            self._recount(axes)
+            self.place.set(axes)
 
     @property
     def why_not_armed(self) -> str:
@@ -179,18 +180,17 @@ class Robot(Device):
                 self.stop()
             reason = refusal if not wanted.is_zero else ""
             return CommandSample(self._command_stamp(), wanted, sent, reason)
-        try:
-            with self._lock:
+        with self._exchange():
+            try:
                 slack = self._joints_of(self.place.slack)
                 allowed = clamp_rates(wanted, self._joints_ahead(), self.limits, self._ahead_s, slack)
                 if self.gate.state == ARMED and not allowed.is_zero:
                     self._still = False
                     sent = self._send(allowed)
-        except Exception as error:  # whatever it was, nothing may move on
-            if isinstance(error, DeviceError) and self.gate.state == STOPPED:  # stopped by another thread meanwhile
-                return CommandSample(self._command_stamp(), wanted, sent, f"stopped: {self.gate.reason}")
-            self.emergency_stop(f"{type(error).__name__}: {error}")
-            raise
+            except DeviceError:
+                if self.gate.state == STOPPED:  # by another thread meanwhile
+                    return CommandSample(self._command_stamp(), wanted, sent, f"stopped: {self.gate.reason}")
+                raise
         if self.gate.state != ARMED:  # a stop that came first may have overtaken the command
             self._quietly(self._kill if self.gate.state == STOPPED else self._halt)
         return CommandSample(self._command_stamp(), wanted, sent, "" if allowed == wanted else "limit")
@@ -202,18 +202,14 @@ class Robot(Device):
             DeviceError: the link or the controller failed, or was reset; the robot was stopped as well as it can be.
         """
         self._check_connected()
-        known = self.place.is_known
-        try:
-            with self._lock:
-                moving = self._read_axes(timeout_s)
-                joints = self._joints_of(self.place.axes)
-        except Exception as error:
-            self.emergency_stop(f"{type(error).__name__}: {error}")
-            raise
-        if not self.place.is_known and (self.gate.state == ARMED or (known and self.gate.state != STOPPED)):
-            self.emergency_stop(
-                self.place.why_lost
-            )  # once: acknowledged, it waits for the operator's word on the place
+        with self._exchange():
+            known = self.place.is_known
+            moving = self._read_axes(timeout_s)
+            joints = self._joints_of(self.place.axes)
+            if not self.place.is_known and (self.gate.state == ARMED or (known and self.gate.state != STOPPED)):
+                self.emergency_stop(
+                    self.place.why_lost
+                )  # once: acknowledged, it waits for the operator's word on the place
         return RobotSample(self._stamp(), joints, moving, self.gate.state, self.place.is_known)
 
     @abstractmethod
@@ -283,6 +279,19 @@ class Robot(Device):
         guardian, self._guardian = self._guardian, None
         if guardian is not None:
             guardian.close()
+
+    @contextlib.contextmanager
+    def _exchange(self) -> Iterator[None]:
+        """Have the controller for oneself; any fault stops the robot before another thread may talk to the controller.
+
+        An answer that is late comes among those to the next question, so none may be asked before all begins anew.
+        """
+        with self._lock:
+            try:
+                yield
+            except Exception as error:  # whatever it was, nothing may move on
+                self.emergency_stop(f"{type(error).__name__}: {error}")
+                raise
 
     def _quietly(self, action: Callable[[], None]) -> None:
         """A link that is gone cannot be told to stop: the controller then runs out of queued motion."""

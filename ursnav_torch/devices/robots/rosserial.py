@@ -83,7 +83,7 @@ class RosserialRobot(Robot):
         self._counts = np.zeros(3)  # as the boards report them
         self._offset = np.zeros(3)  # steps that a board forgot when it was reset
         self._moving = [False, False]
-        self._heard_s = [0.0, 0.0]
+        self._heard_s = [0.0, 0.0]  # when the newest reports were made, or later
         self._at, self._at_s = np.zeros(3), 0.0  # where the motors are reckoned to be, and when
         self._velocity = np.zeros(3)  # steps/s of the order under way
         self._turned_s = np.zeros(3)  # since when each motor has turned this way
@@ -94,7 +94,7 @@ class RosserialRobot(Robot):
         """Dim the LED on the bending board."""
         self._check_connected()
         value = round(min(max(level, 0.0), 1.0) * 255)
-        with self._lock:
+        with self._exchange():
             self._boards()[0].publish(LIGHT, bytes([value]))
         return value / 255
 
@@ -160,20 +160,24 @@ class RosserialRobot(Robot):
         steps = np.trunc(axes * self.drive.steps_per_mm * seconds).astype(int)
         if seconds <= 0 or not steps.any():
             return JointRates()
-        back, forth = self._orders.unseen(time.monotonic())
+        back, forth = self._orders.unseen(min(self._heard_s))
         dropped = self.place.axes + np.where(steps > 0, forth, back)
         if self._may_pass_a_limit(steps, self._reckon(), is_against(steps, back, forth), dropped):
             return JointRates()
         self._turned_s = np.where(np.sign(steps) == np.sign(self._velocity), self._turned_s, time.monotonic())
         ends, self._velocity = self._reckon() + steps, steps / seconds
         self._ends_s = self._at_s + seconds
-        self._orders.add(self._at_s, self._velocity)
+        self._orders.add(self._ends_s, self._velocity)
         self.place.sent(ends)
         self._widen()
         milliseconds = round(1000 * seconds)
         boards = self._boards()
-        boards[0].publish(BEND, pack_ints([*steps[:2].tolist(), milliseconds]))
-        boards[-1].publish(SLIDER, pack_ints([int(steps[2]), milliseconds]))
+        try:
+            boards[0].publish(BEND, pack_ints([*steps[:2].tolist(), milliseconds]))
+            boards[-1].publish(SLIDER, pack_ints([int(steps[2]), milliseconds]))
+        finally:  # a busy machine may have sent it late
+            self._orders.sent(time.monotonic() + seconds)
+            self._widen()
         sent = self.drive.joints_from_steps(steps / seconds)
         return JointRates(sent.bend_x_rad, sent.bend_y_rad, sent.insertion_mm)
 
@@ -235,7 +239,7 @@ class RosserialRobot(Robot):
                 for link, wanted in zip((self._boards()[0], self._boards()[-1]), POSITIONS, strict=True):
                     for name, payload in link.receive(0.0):
                         if len(self._links) == 1 or name == wanted:
-                            self._take(name, payload)
+                            self._take(name, payload, link.since_s)
             except BoardResetError as error:
                 self.place.lose(str(error))
                 raise
@@ -251,9 +255,7 @@ class RosserialRobot(Robot):
     def _believe(self, now: float) -> None:
         """Take the newest report to the place."""
         at, reckoned = self._counts + self._offset, self._reckon()
-        resting = now > self._ends_s + BLIND_S and not any(self._moving)  # a report may be older than an order's end
-        if resting:
-            self._orders.clear()
+        resting = self._orders.are_over(min(self._heard_s)) and not any(self._moving)
         if self.place.report(at, at):
             self._widen()
         spread = 0.0 if resting else self._unreported
@@ -263,15 +265,15 @@ class RosserialRobot(Robot):
     def _widen(self) -> None:
         """The motors may be anywhere that the orders of late can have taken them since the newest report."""
         at = self._counts + self._offset
-        for way in self._orders.unseen(time.monotonic()):
+        for way in self._orders.unseen(min(self._heard_s)):
             self.place.sent(at + way)
 
-    def _take(self, name: str, payload: bytes) -> None:
+    def _take(self, name: str, payload: bytes, since_s: float) -> None:
         values = unpack_ints(payload)
         if name == BEND_POSITION and len(values) == 3:
-            self._counts[:2], self._moving[0], self._heard_s[0] = values[:2], bool(values[2]), time.monotonic()
+            self._counts[:2], self._moving[0], self._heard_s[0] = values[:2], bool(values[2]), since_s
         elif name == SLIDER_POSITION and len(values) == 2:
-            self._counts[2], self._moving[1], self._heard_s[1] = values[0], bool(values[1]), time.monotonic()
+            self._counts[2], self._moving[1], self._heard_s[1] = values[0], bool(values[1]), since_s
 
 
 def _unreported(limits: Limits, drive: Drive) -> Array:

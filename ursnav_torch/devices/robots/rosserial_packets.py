@@ -152,6 +152,9 @@ class RosserialLink:
         needed: topics the device must announce, name -> (type, md5); which direction is the device's affair.
         deadline_s: how long the device may take to announce them; boards restart when the port opens.
 
+    Attributes:
+        since_s: all that `receive` gave last has come since then, however late this program looked.
+
     Raises:
         DeviceNotConnectedError: no such port.
         DeviceTimeoutError: the needed topics were not announced in time.
@@ -164,6 +167,7 @@ class RosserialLink:
         self._decoder = Decoder()
         self._early: list[Packet] = []  # messages that came among the announcements
         self.topics: dict[str, TopicInfo] = {}
+        self.since_s = self._emptied_s = 0.0
         try:
             self._negotiate(needed, deadline_s)
         except BaseException:
@@ -214,6 +218,7 @@ class RosserialLink:
 
     def _read_packets(self) -> list[Packet]:
         """Packets that came, after the protocol's own business is done."""
+        self.since_s, self._emptied_s = self._emptied_s, time.monotonic()
         packets = self._decoder.feed(self._link.read_available())
         for packet in packets:
             if packet.topic == TIME:
