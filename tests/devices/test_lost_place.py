@@ -208,7 +208,7 @@ def test_orders_of_late_span_what_no_report_has_told():
     orders.add(5.2, -forth)
     np.testing.assert_allclose(orders.unseen(5.1), [-UNSEEN_S * forth, UNSEEN_S * forth])
     np.testing.assert_allclose(orders.unseen(5.11 + DELAY_S), [-UNSEEN_S * forth, [0, 0, 0]])
-    orders.sent(5.5)  # late: it lasts for longer than any order, as the report knows it
+    orders.add(5.5, -forth)  # late: it lasts for longer than any order, as the report knows it
     np.testing.assert_allclose(orders.unseen(5.2), [-(0.3 + DELAY_S) * forth, [0, 0, 0]])
     assert not orders.are_over(5.49 + DELAY_S) and orders.are_over(5.51 + DELAY_S)
     assert not np.any(orders.unseen(5.2))

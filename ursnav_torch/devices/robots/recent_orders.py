@@ -22,12 +22,8 @@ class RecentOrders:
         self._orders: deque[tuple[float, Array]] = deque()
 
     def add(self, ends_s: float, velocity: Array) -> None:
-        """A velocity (3,) is about to be ordered until a time."""
+        """A velocity (3,) is or was ordered until a time; said again where the order went out later than meant."""
         self._orders.append((ends_s, velocity))
-
-    def sent(self, ends_s: float) -> None:
-        """The newest order was sent, maybe late, and lasts until then."""
-        self._orders[-1] = ends_s, self._orders[-1][1]
 
     def are_over(self, told_s: float) -> bool:
         """Whether a report made at ``told_s`` or later tells all that was ordered."""

@@ -176,7 +176,7 @@ class RosserialRobot(Robot):
             boards[0].publish(BEND, pack_ints([*steps[:2].tolist(), milliseconds]))
             boards[-1].publish(SLIDER, pack_ints([int(steps[2]), milliseconds]))
         finally:  # a busy machine may have sent it late
-            self._orders.sent(time.monotonic() + seconds)
+            self._orders.add(time.monotonic() + seconds, self._velocity)
             self._widen()
         sent = self.drive.joints_from_steps(steps / seconds)
         return JointRates(sent.bend_x_rad, sent.bend_y_rad, sent.insertion_mm)
