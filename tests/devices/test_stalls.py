@@ -81,6 +81,15 @@ def test_the_last_words_of_a_board_that_fell_silent_are_as_old_as_they_are(line)
     assert line.outside == []
 
 
+@pytest.mark.parametrize("line", ["rosserial"], indirect=True)
+def test_a_machine_too_busy_to_know_how_old_a_report_is_looks_again_and_calls_no_board_hung(line):
+    line.drive(8.0, 0.2)
+    line.stalls = {len(line.deeds) + n: 0.12 for n in range(1, 7)}
+    assert line.robot.read().place_known and line.outside == []
+    line.robot.command(FORWARD, True)
+    assert line.robot.gate.state == "armed"
+
+
 def test_a_jog_cancelled_by_the_guardian_is_missed_by_no_bound(line):
     """Its process writes to the port by itself: this program hears nothing of it."""
     line.robot.command(FORWARD, True)

@@ -84,6 +84,7 @@ class RosserialRobot(Robot):
         self._offset = np.zeros(3)  # steps that a board forgot when it was reset
         self._moving = [False, False]
         self._heard_s = [0.0, 0.0]  # when the newest reports were made, or later
+        self._came_s = [0.0, 0.0]  # when they were taken in
         self._at, self._at_s = np.zeros(3), 0.0  # where the motors are reckoned to be, and when
         self._velocity = np.zeros(3)  # steps/s of the order under way
         self._turned_s = np.zeros(3)  # since when each motor has turned this way
@@ -110,7 +111,7 @@ class RosserialRobot(Robot):
         needs = [bend | slider] if len(self.ports) == 1 else [bend, slider]
         for port, needed in zip(self.ports, needs, strict=True):
             self._links.append(RosserialLink(port, self.baud, needed, ANNOUNCE_S))
-        self._heard_s, self._ends_s = [0.0, 0.0], 0.0
+        self._heard_s, self._came_s, self._ends_s = [0.0, 0.0], [0.0, 0.0], 0.0
 
     def _close(self) -> None:
         self._dismiss_guardian()
@@ -220,7 +221,7 @@ class RosserialRobot(Robot):
                 link.receive(0.0)
             except BoardResetError as error:
                 self.place.lose(str(error))
-        self._heard_s = [0.0, 0.0]
+        self._heard_s, self._came_s = [0.0, 0.0], [0.0, 0.0]
 
     def _read_axes(self, timeout_s: float) -> bool:
         self._listen(timeout_s)
@@ -247,8 +248,8 @@ class RosserialRobot(Robot):
             if now - min(self._heard_s) < FRESH_S:
                 self._believe(now)
                 return
-            if now > deadline:
-                silent = [p for p, t in zip(POSITIONS, self._heard_s, strict=True) if now - t >= FRESH_S]
+            silent = [p for p, t in zip(POSITIONS, self._came_s, strict=True) if now - t >= FRESH_S]
+            if now > deadline and silent:  # else this machine is too busy to know how old they are, and looks again
                 raise DeviceTimeoutError(f"{self.ports}: no {', '.join(silent)} for {timeout_s} s; is the board hung?")
             time.sleep(0.002)
 
@@ -271,9 +272,12 @@ class RosserialRobot(Robot):
     def _take(self, name: str, payload: bytes, since_s: float) -> None:
         values = unpack_ints(payload)
         if name == BEND_POSITION and len(values) == 3:
-            self._counts[:2], self._moving[0], self._heard_s[0] = values[:2], bool(values[2]), since_s
+            self._counts[:2], self._moving[0], board = values[:2], bool(values[2]), 0
         elif name == SLIDER_POSITION and len(values) == 2:
-            self._counts[2], self._moving[1], self._heard_s[1] = values[0], bool(values[1]), since_s
+            self._counts[2], self._moving[1], board = values[0], bool(values[1]), 1
+        else:
+            return
+        self._heard_s[board], self._came_s[board] = since_s, time.monotonic()
 
 
 def _unreported(limits: Limits, drive: Drive) -> Array:
