@@ -118,7 +118,7 @@ def arm(tab):
     until = time.monotonic() + PATIENCE_S
     while "armed" not in (text := tab.text("robot")).split():
         assert time.monotonic() < until, f"the robot cannot be armed: {text!r}"
-        if "stopped" in text:
+        if "stopped" in text or "acknowledge once more" in tab.text("notice-robot"):
             tab.press("acknowledge")
         elif "disarmed" in text:
             tab.tab.keyboard.press("r")

@@ -36,7 +36,18 @@ def test_the_scopes_picture_is_large_and_no_texts_overlap_or_are_cut_off(tab, si
             apart = a[2] <= b[0] + 1 or b[2] <= a[0] + 1 or a[3] <= b[1] + 1 or b[3] <= a[1] + 1
             assert apart, f"{name!r} and {other!r} overlap"
     assert tab.tab.evaluate(CUT_OFF) == []
+    assert tab.tab.evaluate(COVERED) == []
     tab.tab.set_viewport_size({"width": 1300, "height": 900})
+
+
+#: What lies over a calyx's picture in the strip.
+COVERED = """() => [...document.querySelectorAll("#strip li")].flatMap((item) => {
+  const a = item.querySelector("img").getBoundingClientRect();
+  return [...item.querySelectorAll("b, span")].filter((e) => {
+    const b = e.getBoundingClientRect();
+    return b.left < a.right - 1 && a.left < b.right - 1 && b.top < a.bottom - 1 && a.top < b.bottom - 1;
+  }).map((e) => e.textContent);
+})"""
 
 
 #: Every text that is shown, with the box of what is visible of it: left, top, right, bottom.

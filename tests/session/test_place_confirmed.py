@@ -6,7 +6,7 @@ import pytest
 from dialogue import wait_until
 
 from benchmarks.safety.bench import KINDS, Bench
-from ursnav_torch.devices import Gamepad, Limits, OperatorInput
+from ursnav_torch.devices import Gamepad, Limits, Note, OperatorInput
 from ursnav_torch.session import Control
 
 
@@ -38,10 +38,12 @@ def test_acknowledged_twice_a_lost_place_is_known_again(kind, monkeypatch):
         assert bench.come_to_rest()
         bench.reset()
 
+        told = []
+
         def cycles(count, **presses):
             thumb.presses = presses
             for _ in range(count):
-                control.step()
+                told.extend(event for event in control.step() if isinstance(event, Note) and event.level != "info")
                 time.sleep(0.02)
 
         assert wait_until(lambda: cycles(5) or robot.gate.state == "stopped")
@@ -51,5 +53,6 @@ def test_acknowledged_twice_a_lost_place_is_known_again(kind, monkeypatch):
         assert robot.gate.state == "disarmed"
         cycles(10, acknowledge=True)
         assert robot.place.is_known
+        assert "acknowledge once more" in told[-2].text and "confirmed" in told[-1].text  # pages keep the last
         cycles(10, arm=True)
         assert robot.gate.state == "armed" and robot.read().place_known

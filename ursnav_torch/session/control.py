@@ -110,7 +110,7 @@ class Control:
             if robot.place.is_known or now - self._acknowledged_s < CONFIRM_AFTER_S:
                 return
             robot.confirm_place()
-            yield Note(self._note(), "info", "The robot's place was confirmed by the operator.")
+            yield Note(self._note(), "warning", "The robot's place was confirmed by the operator.")
             return
         robot.acknowledge()
         self._acknowledged_s = now
