@@ -76,6 +76,11 @@ def test_a_path_is_read_beside_published_ones_of_a_kidney_as_large_as_life(path_
     assert (row["value"], row["novices"], row["experts"]) == (words, "2182 ± 613 mm", "1164 ± 290 mm")
 
 
+def test_the_path_of_half_a_kidney_is_not_read_beside_those_of_whole_ones() -> None:
+    half = replace(TrainingFigures(), calyces=[covered("A", INSPECTED), covered("B", UNSEEN)])
+    assert training_rows(half, 85.0, 4.0, 1.0)[0]["value"] == "85 mm: not of a whole kidney"
+
+
 def test_visits_that_are_not_the_first_are_said() -> None:
     figures = replace(TrainingFigures(), visits={"A": 3, "B": 1}, inspected_s={"A": 8.0, "B": 4.0})
     rows = {row["name"]: row["value"] for row in training_rows(figures, 0.0, 3.25, 1.0)}

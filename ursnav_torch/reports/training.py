@@ -109,8 +109,9 @@ def training_rows(found: TrainingFigures, path_mm: float, speed_mm_s: float, sca
     again = sum(count - 1 for count in found.visits.values())
     plain = path_mm / scale
     at_anatomy = f" ({plain:.0f} mm at scale 1)" if scale != 1 else ""
+    beside = "not of a whole kidney" if missed else _beside(plain)
     return [
-        _row("path of the tip", f"{path_mm:.0f} mm{at_anatomy}: {_beside(plain)}", _published(NOVICES_MM),
+        _row("path of the tip", f"{path_mm:.0f} mm{at_anatomy}: {beside}", _published(NOVICES_MM),
              _published(EXPERTS_MM)),
         _row("speed while moving, median", f"{speed_mm_s:.1f} mm/s"),
         _row("calyces inspected", f"{len(reachable) - len(missed)} of {len(reachable)} in reach"),
