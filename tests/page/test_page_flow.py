@@ -14,8 +14,9 @@ import pytest
 from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.navigation import NavigationState, Navigator
 from ursnav_torch.page import LivePage, PageServer
-from ursnav_torch.page.commands import MOST_BYTES, Command, shown_kind
+from ursnav_torch.page.commands import MOST_BYTES, Command, does_overtake, shown_kind
 from ursnav_torch.page.mailbox import Mailbox, Reader
+from ursnav_torch.page.server import WAITING
 from ursnav_torch.session import SessionControls
 from ursnav_torch.tracking.tracker import Tracker
 
@@ -243,3 +244,57 @@ def test_where_a_record_is_played_is_sent_when_it_changes(shown):
         page._show_state(NavigationState(version=-1))
     sent = [call.kwargs["at_s"] for call in server.publish.call_args_list if call.args[0] == "replay"]
     assert sent == [1.0, 1.2]
+
+
+def ask(socket, name):
+    socket.send(json.dumps({"do": name}))
+
+
+def test_a_stop_overtakes_what_waits_and_makes_it_forgotten(served):
+    """Acknowledging and arming that were asked for before a stop do not follow it."""
+    begun, go_on, stopped, done = threading.Event(), threading.Event(), threading.Event(), []
+    server, socket = served(
+        slow=Command(lambda: (begun.set(), go_on.wait(60))),
+        arm=Command(lambda: done.append("arm")),
+        last=Command(lambda: server.publish("last")),
+        stop=Command(stopped.set, overtakes=True),
+    )
+    ask(socket, "slow")
+    assert begun.wait(60)
+    for _ in range(3):
+        ask(socket, "arm")
+    ask(socket, "stop")
+    assert stopped.wait(60), "it waits for no other"
+    ask(socket, "last")
+    go_on.set()
+    assert next_of(socket)[0] == "last"
+    assert done == []
+
+
+def test_a_page_that_asks_for_too_much_is_told_and_still_heard(served):
+    begun, go_on, stopped = threading.Event(), threading.Event(), threading.Event()
+    _, socket = served(slow=Command(lambda: (begun.set(), go_on.wait(60))), stop=Command(stopped.set, overtakes=True))
+    ask(socket, "slow")
+    assert begun.wait(60)
+    for _ in range(WAITING + 1):
+        ask(socket, "slow")
+    try:
+        assert next_of(socket)[0] == "notice"
+        ask(socket, "stop")
+        assert stopped.wait(60)
+    finally:
+        go_on.set()
+
+
+@pytest.mark.parametrize("raw", ['{"do": "other"}', '{"do": 3}', "[]", "x", "{", "[" * 5000, '{"do": "none"}'])
+def test_what_is_no_stop_overtakes_nothing(raw):
+    commands = {"stop": Command(print, overtakes=True), "other": Command(print)}
+    assert does_overtake('{"do": "stop"}', commands) and not does_overtake(raw, commands)
+
+
+def test_the_live_page_stops_at_once():
+    page = object.__new__(LivePage)
+    page._vid = SimpleNamespace(kidney=SimpleNamespace(calyces=()))
+    page.controls = SimpleNamespace(console=Mock(has_robot=True), player=None, stop=None)
+    overtaking = {name for name, command in page._commands().items() if command.overtakes}
+    assert overtaking == {"stop"}

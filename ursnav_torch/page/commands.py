@@ -1,7 +1,7 @@
 """What a page may ask for: commands by name, each with one value of a known type, inside its bounds."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ class Command:
         kind: the value's type.
         low, high: bounds of a number.
         choices: what a text may be; None for any of 1 to 40 characters.
+        overtakes: it waits for no command before it, and those that wait are forgotten.
     """
 
     do: Callable[..., object]
@@ -32,6 +33,7 @@ class Command:
     low: float = -LARGEST
     high: float = LARGEST
     choices: tuple[str, ...] | None = None
+    overtakes: bool = False
 
     def run(self, value: Any) -> None:
         """Check the value and do it.
@@ -56,14 +58,23 @@ class Command:
 
 def shown_kind(raw: str) -> str | None:
     """The kind of message that a page says it has shown, ``{"shown": KIND}``; None where it says something else."""
-    if len(raw) > MOST_BYTES or not raw.startswith(SHOWN):
-        return None
+    return _text_at("shown", raw) if raw.startswith(SHOWN) else None
+
+
+def does_overtake(raw: str, commands: Mapping[str, Command]) -> bool:
+    """Whether a message asks for a command that waits for no other."""
+    command = commands.get(_text_at("do", raw) or "")
+    return command is not None and command.overtakes
+
+
+def _text_at(key: str, raw: str) -> str | None:
+    """The text that a message has at a key; None where it has none or is no message of a page."""
     try:
-        message = msgspec.json.decode(raw)
+        message = msgspec.json.decode(raw) if len(raw) <= MOST_BYTES else None
     except (msgspec.DecodeError, RecursionError):
         return None
-    kind = message.get("shown") if isinstance(message, dict) else None
-    return kind if isinstance(kind, str) else None
+    text = message.get(key) if isinstance(message, dict) else None
+    return text if isinstance(text, str) else None
 
 
 def run_message(raw: Any, commands: dict[str, Command]) -> None:

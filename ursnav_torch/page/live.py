@@ -114,7 +114,7 @@ class LivePage:
         }
         if console is not None and console.has_robot:
             found |= {
-                "stop": Command(console.emergency_stop),
+                "stop": Command(console.emergency_stop, overtakes=True),
                 "acknowledge": Command(console.acknowledge),
                 "arm": Command(console.arm),
                 "pilot": Command(console.give_to_pilot, bool),
