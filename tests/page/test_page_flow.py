@@ -15,8 +15,8 @@ from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.navigation import NavigationState, Navigator
 from ursnav_torch.page import LivePage, PageServer
 from ursnav_torch.page.commands import MOST_BYTES, Command, does_overtake, shown_kind
+from ursnav_torch.page.conversation import WAITING
 from ursnav_torch.page.mailbox import Mailbox, Reader
-from ursnav_torch.page.server import WAITING
 from ursnav_torch.session import SessionControls
 from ursnav_torch.tracking.tracker import Tracker
 

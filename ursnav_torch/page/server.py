@@ -1,12 +1,10 @@
 """The page's server: only its own pages and this computer's programs reach it, and nothing they send names a file."""
 
 import contextlib
-import logging
 import socket
 import threading
 import time
-from collections.abc import Awaitable, Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +12,15 @@ import msgspec
 
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.extras import import_extra
-from ursnav_torch.page.commands import Command, does_overtake, run_message, shown_kind
+from ursnav_torch.page.commands import Command
+from ursnav_torch.page.conversation import Conversation
 from ursnav_torch.page.guard import Guard
-from ursnav_torch.page.mailbox import Mailbox, Reader
-
-logger = logging.getLogger(__name__)
+from ursnav_torch.page.mailbox import Mailbox
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
 STATIC = Path(__file__).parent / "static"
 #: The server has so long to come up, and to end.
 PATIENCE_S = 20.0
-#: So many commands of a page wait while one is done; its next are left out, which a notice says.
-WAITING = 1000
 
 
 def check_address(host: str, port: int) -> None:
@@ -118,71 +113,7 @@ class PageServer:
 
     async def _speak(self, socket: Any) -> None:
         """Serve one page's connection until it is closed."""
-        import anyio
-        from starlette.websockets import WebSocketDisconnect
-
-        def forget() -> None:
-            with contextlib.suppress(anyio.WouldBlock):
-                while True:
-                    asked.receive_nowait()
-
-        await socket.accept()
-        reader = Reader()
-        put, asked = anyio.create_memory_object_stream[str](WAITING)
-        async with put, asked, anyio.create_task_group() as tasks:
-
-            async def send() -> None:
-                async for message in self._mailbox.read(reader):
-                    await (socket.send_text if isinstance(message, str) else socket.send_bytes)(message)
-                await socket.close(1001)
-
-            async def do() -> None:
-                async for raw in asked:
-                    await self._take(raw, socket)
-
-            async def hear(raw: str) -> None:
-                try:
-                    put.send_nowait(raw)
-                except anyio.WouldBlock:
-                    await _notify(socket, f"{WAITING} commands wait for one before them; this one is left out.")
-
-            async def receive() -> None:
-                while True:
-                    raw = await socket.receive_text()
-                    kind = shown_kind(raw)
-                    if kind is not None:
-                        reader.shown(kind)
-                    elif does_overtake(raw, self._commands):
-                        forget()
-                        tasks.start_soon(while_open, partial(self._take, raw, socket))
-                    else:
-                        await hear(raw)
-
-            async def while_open(part: Callable[[], Awaitable[None]]) -> None:
-                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                    await part()
-
-            async def until_closed(part: Callable[[], Awaitable[None]]) -> None:
-                await while_open(part)
-                tasks.cancel_scope.cancel()
-
-            for part in (do, receive, send):
-                tasks.start_soon(until_closed, part)
-
-    async def _take(self, raw: str, socket: Any) -> None:
-        """Do what a page asks for, beside the loop that serves it; what cannot be done becomes a notice there."""
-        import anyio
-
-        try:
-            await anyio.to_thread.run_sync(run_message, raw, self._commands)
-        except UrsnavError as error:
-            await _notify(socket, str(error))
-        except Exception:  # whatever a page asks for, the others go on
-            logger.exception("A page's command failed.")
-
-
-async def _notify(socket: Any, text: str) -> None:
-    await socket.send_text(msgspec.json.encode({"kind": "notice", "text": text}).decode())
+        await Conversation(socket, self._mailbox, self._commands).serve()
 
 
 def _application(
