@@ -1,7 +1,8 @@
 """Settings of refinement and of localization that are compared with each other."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 
+from benchmarks.shared.vary import named_values, with_value
 from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.errors import InputError
 from ursnav_torch.localization import LocalizationSettings
@@ -26,24 +27,10 @@ def choices(vary: str) -> dict[str, Choice]:
     now = Choice(LocalizationSettings(), RefinementSettings())
     if not vary:
         return {DEFAULT: now}
-    name, _, values = vary.partition("=")
-    rooms = {"localization": asdict(now.localization), "alignment": asdict(now.alignment)}
-    room = next((room for room, known in rooms.items() if name in known), None)
-    if room is None or not values:
-        known = ", ".join(sorted(key for known in rooms.values() for key in known))
-        raise InputError(f"vary={vary} names no setting and its values; give NAME=VALUE,VALUE with one of {known}.")
-    found = {}
-    for value in values.split(","):
-        changed = replace(getattr(now, room), **{name: _read(value, rooms[room][name], name)})
-        found[f"{name}={value}"] = replace(now, **{room: changed})
-    return found
-
-
-def _read(value: str, example: bool | int | float, name: str) -> bool | int | float:
-    """A value of the kind that an example has."""
-    try:
-        if isinstance(example, bool):
-            return {"true": True, "false": False}[value.lower()]
-        return type(example)(value)
-    except (KeyError, ValueError):
-        raise InputError(f"vary: {value!r} is no value of {name}, which is {example} now.") from None
+    name, values = named_values(vary)
+    for group in ("localization", "alignment"):
+        settings = getattr(now, group)
+        if hasattr(settings, name):
+            return {f"{name}={value}": replace(now, **{group: with_value(settings, name, value)}) for value in values}
+    known = ", ".join(f.name for group in (now.localization, now.alignment) for f in fields(group))
+    raise InputError(f"{name!r} is no setting of localization or refinement; those are {known}.")

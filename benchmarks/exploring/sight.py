@@ -9,11 +9,11 @@ from ursnav_torch.stones import THERE, FoundStone
 
 Array = NDArray[np.float64]
 
-#: The map tells a stone after so many seconds in sight, nearer than this, mm.
+#: The map tells a stone after so many seconds in sight, nearer than this, mm; assumed.
 _TOLD_S, _NEARER_MM = 2.0, 15.0
 #: Errors of its place, mm an axis, and of its size, as a share: what ``python -m benchmarks.stones`` gave.
 _PLACE_MM, _SIZE = 0.3, 0.2
-#: How sure the map says to be of the size, as a share.
+#: How sure the map says to be of the size, as a share; assumed.
 _SIZE_SD = 0.15
 
 

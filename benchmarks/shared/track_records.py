@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import ursnav_torch
 from benchmarks.shared.flights import Flown
+from benchmarks.shared.vary import named_values, with_value
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
@@ -39,7 +40,7 @@ class Choice:
     ``other`` says that the VID is another kidney's, ``odometry`` that the robot is heard.
     """
 
-    overrides: tuple[tuple[str, str, float], ...] = ()
+    overrides: tuple[tuple[str, str, str], ...] = ()
     other: bool = False
     odometry: bool = False
 
@@ -48,9 +49,9 @@ class Choice:
         """``group.name=value,value`` as one choice a value; none of an empty text."""
         if not text:
             return []
-        name, _, values = text.partition("=")
-        group, _, name = name.partition(".")
-        return [cls(((group, name, float(v)),)) for v in values.split(",")]
+        path, values = named_values(text)
+        group, _, name = path.partition(".")
+        return [cls(((group, name, value),)) for value in values]
 
     def groups(self) -> dict[str, Any]:
         """Arguments for the `Tracker`."""
@@ -58,15 +59,14 @@ class Choice:
         kinds = SETTINGS_GROUPS | {ALIGNMENT: video_refinement}
         for group, name, value in self.overrides:
             base = found[group] if group in found else kinds[group]() if group in kinds else None
-            if base is None or name not in {f.name for f in fields(base)}:
+            if base is None:
                 raise InputError(f"{group}.{name} is no setting of tracking; groups are {', '.join(kinds)}.")
-            kind = int if isinstance(getattr(base, name), int) else float
-            found[group] = replace(base, **{name: kind(value)})
+            found[group] = with_value(base, name, value)
         refinement = found.pop(ALIGNMENT, None)
         return {"settings": TrackSettings(**found), "refinement": refinement}
 
     def __str__(self) -> str:
-        parts = [f"{g}.{n}={v:g}" for g, n, v in self.overrides] or ["as set"]
+        parts = [f"{g}.{n}={v}" for g, n, v in self.overrides] or ["as set"]
         parts += ["in another kidney's VID"] * self.other + ["with odometry"] * self.odometry
         return ", ".join(parts)
 

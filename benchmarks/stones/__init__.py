@@ -10,7 +10,6 @@ instead of what is set; only with the choosing half), ``pictures=DIR`` (the ston
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import torch
 
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.shared.statistics import wilson
+from benchmarks.shared.vary import named_values, with_value
 from benchmarks.stones.bodies import bodies_of
 from benchmarks.stones.flights import CHOOSING, JUDGING, StoneFlight, stone_flight
 from benchmarks.stones.scores import Poses, Score, mapped
@@ -76,10 +76,8 @@ def _choices(vary: str, half: str) -> dict[str, StoneMapSettings]:
         return {"": StoneMapSettings()}
     if half != "choosing":
         raise InputError("vary= chooses settings: that is what half=choosing is for.")
-    name, _, values = vary.partition("=")
-    if name not in {f.name for f in fields(StoneMapSettings)}:
-        raise InputError(f"{name!r} is no setting of the stones' map: {[f.name for f in fields(StoneMapSettings)]}.")
-    return {f"{name}={v}": replace(StoneMapSettings(), **{name: float(v)}) for v in values.split(",")}
+    name, values = named_values(vary)
+    return {f"{name}={value}": with_value(StoneMapSettings(), name, value) for value in values}
 
 
 def _tell(report: Report, group: str, score: Score) -> None:

@@ -82,7 +82,7 @@ def test_settings_are_varied_one_at_a_time() -> None:
 
 @pytest.mark.parametrize(
     ("vary", "message"),
-    [("nothing=3", "names no setting"), ("coarse_px", "NAME=VALUE"), ("coarse_px=x", "no value of")],
+    [("nothing=3", "is no setting of"), ("coarse_px", "NAME=VALUE"), ("coarse_px=x", "no value of")],
 )
 def test_a_setting_that_is_none_is_refused(vary: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
