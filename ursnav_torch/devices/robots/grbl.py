@@ -8,12 +8,23 @@ interface and jogging documents (github.com/gnea/grbl, doc/markdown). How a rese
 
 import logging
 import math
-import re
 import time
 
 import numpy as np
 
 from ursnav_torch.devices.base import JointRates, Joints
+from ursnav_torch.devices.robots.grbl_words import (
+    ALARMS,
+    AT_REST,
+    ERRORS,
+    FLUIDNC,
+    GREETING,
+    JOGGING,
+    NEEDED,
+    REPORT,
+    SETTING,
+    check_settings,
+)
 from ursnav_torch.devices.robots.kinematics import Drive
 from ursnav_torch.devices.robots.recent_orders import QueuedJogs, is_against
 from ursnav_torch.devices.robots.reset_watch import ASK_STATE, MARK, ResetWatch, is_mark
@@ -21,7 +32,7 @@ from ursnav_torch.devices.robots.robot import MAX_QUEUED_S, Robot
 from ursnav_torch.devices.robots.safety import STOPPED, Limits
 from ursnav_torch.devices.serial_link import SerialLink
 from ursnav_torch.devices.wire import FARTHEST_MM, device_number
-from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError, InputError
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceProtocolError, DeviceTimeoutError
 from ursnav_torch.geometry import Array
 
 SOFT_RESET, STATUS, JOG_CANCEL = b"\x18", b"?", b"\x85"
@@ -30,28 +41,6 @@ SHORTEST_JOG_S = 0.01
 REPORT_S = 0.2
 #: A board greets within the first after a reset; a greeting later than the second is of a reset that nobody asked for.
 SETTLE_S, GREETED_S = 0.1, 1.0
-ERRORS = {
-    "2": "bad number format",
-    "8": "not idle",
-    "9": "locked out during alarm or jog",
-    "11": "line too long",
-    "15": "jog target beyond the machine's travel",
-    "16": "invalid jog command",
-    "20": "unsupported command",
-    "22": "feed rate missing",
-}
-#: States in which nothing moves and nothing is queued.
-AT_REST = ("Idle", "Alarm")
-ALARMS = {"1": "hard limit hit", "2": "target beyond travel", "3": "reset while moving, position may be lost"}
-#: State and machine position; boards with more than three axes tell those of all.
-REPORT = re.compile(r"<(\w+)(?::\d+)?\|MPos:([-+.,\w ]+)(?:\|[^<>]*)?>")
-#: Some boards explain a setting in brackets.
-SETTING = re.compile(r"\$(\d+)=([-+.\w]+)\s*(?:\(.*\))?")
-#: What must be told: inches, largest spindle speed, laser mode, speeds and accelerations of the three axes.
-NEEDED = {13, 30, 32, 110, 111, 112, 120, 121, 122}
-#: Greetings of GRBL, grblHAL and grbl-Mega-5X (1.2), wherever in the line; FluidNC counts its own versions.
-GREETING = re.compile(r"Grbl(?:HAL)? (\d+\.\d+)", re.IGNORECASE)
-JOGGING, FLUIDNC = ("1.1", "1.2"), "[FluidNC"
 #: GRBL reports thousandths of a mm and rounds to its own steps.
 ROUNDING_MM = 0.005
 #: A place in doubt by what two horizons move the slider at its cap is known well enough: give or take 1 mm.
@@ -116,7 +105,7 @@ class GrblRobot(Robot):
         self._link = SerialLink(self.port, 115200)
         self._reset()
         self._settings = self._read_settings()
-        self._check_settings()
+        check_settings(self._settings, self.limits, self.drive.segment.cable_radius_mm, self.horizon_s)
         state, axes = self._status(self.deadline_s)
         if state == "Alarm":
             self.gate.emergency_stop("the controller woke up in alarm")
@@ -349,30 +338,7 @@ class GrblRobot(Robot):
                 settings[int(found[1])] = device_number(found[2], f"{self.port}: GRBL's setting ${found[1]}", 0.0, 1e9)
         if missing := NEEDED - settings.keys():
             raise DeviceProtocolError(f"{self.port}: GRBL did not tell its settings {sorted(missing)}.")
-        for n in NEEDED - {13, 32}:
-            if settings[n] <= 0:
-                raise InputError(f"GRBL's setting ${n} must be positive, got {settings[n]:g}; see its list.")
         return settings
-
-    def _check_settings(self) -> None:
-        """Refuse a board that would move for longer than it is told, or measure in inches."""
-        bend = self.limits.max_bend_rate_rad_s * self.drive.segment.cable_radius_mm
-        for n, cap in enumerate((bend, bend, self.limits.max_insertion_rate_mm_s)):
-            fastest, acceleration = self._settings[110 + n] / 60, self._settings[120 + n]
-            if fastest < cap:
-                raise InputError(
-                    f"GRBL allows axis {n} only {fastest:.2f} mm/s (${110 + n}), the speed cap is {cap:.2f} mm/s. "
-                    f"Raise ${110 + n} to {math.ceil(cap * 60)} or lower the cap."
-                )
-            if self.horizon_s + 2 * cap / acceleration > MAX_QUEUED_S:
-                need = math.ceil(2 * cap / (MAX_QUEUED_S - self.horizon_s))
-                raise InputError(
-                    f"GRBL's acceleration ${120 + n} is {acceleration:g} mm/s^2: axis {n} could not stop within "
-                    f"{MAX_QUEUED_S} s. Set it to {need} or more."
-                )
-        for n, what in ((13, "inches"), (32, "laser mode")):
-            if self._settings[n]:
-                raise InputError(f"GRBL is set to {what} (${n}={self._settings[n]:g}); set ${n}=0.")
 
     def _status(self, timeout_s: float) -> tuple[str, Array]:
         """Machine state and machine position (3,) in mm; where the board has lost its mark, the place is lost."""
