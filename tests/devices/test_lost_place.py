@@ -110,6 +110,24 @@ def test_a_stop_by_another_thread_while_the_board_is_asked_is_no_mistake_of_the_
     assert robot.gate.state == "armed"
 
 
+def test_a_stop_while_another_is_acknowledged_is_not_taken_note_of(bench, monkeypatch):
+    robot = bench.robot
+    robot.arm()
+    robot.emergency_stop("the first")
+    recover = robot._recover
+
+    def overtaken():
+        recover()
+        robot.emergency_stop("the second")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(robot, "_recover", overtaken)
+        robot.acknowledge()
+    assert robot.gate.state == "stopped" and not robot.arm()
+    robot.acknowledge()
+    assert robot.gate.state == "disarmed"
+
+
 def test_orders_that_come_late_pass_no_limit():
     """A busy machine or a slow line: orders come up to 0.1 s late, now sooner and now later."""
     with Bench("rosserial", LIMITS) as bench:

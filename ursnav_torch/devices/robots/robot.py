@@ -96,17 +96,18 @@ class Robot(Device):
             self._quietly(self._kill)
 
     def acknowledge(self) -> None:
-        """After a stop: make the controller ready again and go back to disarmed.
+        """After a stop: make the controller ready again and go back to disarmed, unless another stop comes meanwhile.
 
         Raises:
             DeviceError: the controller does not come back; the robot stays stopped.
         """
         self._check_connected()
+        stops = self.gate.stops
         if self.gate.state != STOPPED:
             return
         with self._lock:
             self._recover()
-        self.gate.acknowledge()
+        self.gate.acknowledge(stops)
 
     def confirm_place(self) -> None:
         """The operator confirms that a robot whose place was lost stands where it was last certain.

@@ -82,6 +82,7 @@ class SafetyGate:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._lock, self._clock = threading.RLock(), clock
         self._state, self.reason = DISARMED, "not armed yet"
+        self.stops = 0  # that were asked for until now
         self.last_command_s = -math.inf
 
     @property
@@ -106,13 +107,14 @@ class SafetyGate:
     def emergency_stop(self, reason: str) -> None:
         """Forbid motion until `acknowledge` and `arm`; the first reason stays."""
         with self._lock:
+            self.stops += 1
             if self._state != STOPPED:
                 self._state, self.reason = STOPPED, reason
 
-    def acknowledge(self) -> None:
-        """Take note of a stop: back to disarmed."""
+    def acknowledge(self, stops: int | None = None) -> None:
+        """Take note of the first so many stops, or of all: back to disarmed, unless another came since."""
         with self._lock:
-            if self._state == STOPPED:
+            if self._state == STOPPED and stops in (None, self.stops):
                 self._state, self.reason = DISARMED, "stop acknowledged, not armed yet"
 
     def is_stale(self, watchdog_s: float) -> bool:
