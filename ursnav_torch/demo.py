@@ -54,8 +54,9 @@ def _live(config: Any, out: Path) -> None:
             begin=steps.begin,
         )  # fmt: skip
     steps.end()
-    print("The page plays the session until you end it there, or with Ctrl-C. Its address:", flush=True)
     page, replay = instantiate(config.viewer), Replay(session / "session")
+    there = "The session plays until you end it, with Ctrl-C"
+    print(f"{there}." if page is None else f"{there} or on its page. The page's address:", flush=True)
     print(navigate_vid(Tracker(vid), replay, make_renderer, page, duration_s=config.seconds))
 
 
