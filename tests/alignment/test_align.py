@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment import align
-from ursnav_torch.alignment.align import Aligner, _tukey
+from ursnav_torch.alignment.align import Aligner
 from ursnav_torch.alignment.fields import AlignGrid, Fields
+from ursnav_torch.alignment.gauss_newton import tukey
 from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
@@ -104,7 +105,7 @@ def test_residuals_beyond_five_times_their_size_do_not_count() -> None:
     good[-1] = 0.0
 
     def weights() -> np.ndarray:
-        return _tukey(residual[None], good[None], good[None].sum(1))[0]
+        return tukey(residual[None], good[None], good[None].sum(1))[0]
 
     weight = weights()
     assert (weight[:, :5] == 0).all() and (weight[:, 5:-1] > 0.99).all() and (weight[:, -1] == 0).all()

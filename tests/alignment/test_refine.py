@@ -55,7 +55,7 @@ def test_a_drawings_relief_is_the_extractors(grid: AlignGrid, phantom: Kidney, v
     mask, settings = torch.from_numpy(grid.mask), DefaultSettings()
     log_image = masked_blur(torch.log(torch.from_numpy(gray) + 8), mask, max(settings.relief_blur * 62, 0.5))
     expected = flatten(log_image, mask, LocalPlane(mask, settings.relief_reach * 62)).numpy()
-    np.testing.assert_allclose(grid.relief(gray[..., None])[..., 0], expected, atol=2e-3)
+    np.testing.assert_allclose(grid.relief(gray[None])[0], expected, atol=2e-3)
 
 
 def test_a_drawings_gray_values_are_the_headlights() -> None:
@@ -64,7 +64,7 @@ def test_a_drawings_gray_values_are_the_headlights() -> None:
     normals = rng.normal(0, 0.4, (500, 3)) - [0, 0, 1]
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     lights = AT_CAMERA + np.array([1.0, -0.5, 0.2, 1.0, 0.1]) + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
-    gray = gray_values(points, normals, lights)
+    gray = gray_values(points.T, normals.T, lights).T
     for column, (x, y, z, reach, ambient) in zip(gray.T, lights, strict=True):
         alone = 255 * HeadLight((x, y, z), reach_mm=reach, ambient=ambient).shade(points, normals)
         dark = (alone < 200) & (column < 200)  # elsewhere exposure may clip

@@ -5,28 +5,27 @@ mean of the drawing's and the picture's slopes (Benhimane and Malis, IROS 2004: 
 derivatives), Tukey's weights, and the light found along with the pose.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment.fields import AlignGrid, Fields, Floats
+from ursnav_torch.alignment.gauss_newton import FIELDS, correlated, normal_equations, tukey
 from ursnav_torch.alignment.light import AT_CAMERA, MOST, SPREAD, STEP, gray_values, within_limits
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.rendering import RayScene
 
 Array = NDArray[np.float64]
 
-#: So many at a time: OpenCV filters no more than 128 planes at once, and a drawing under an unknown light has 18.
+#: So many at a time, whose planes stay in the second-level cache.
 _AT_ONCE = 6
 #: Fewer compared pixels than this say nothing.
 LEAST_PIXELS = 150
-_TUKEY = 5.0  # residuals beyond this many root mean squares do not count
 _DAMPING = 1e-3
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
-_LEAST_GAIN = 0.2
 _PROGRESS, _PATIENCE = 1e-3, 2  # an alignment ends after so many steps whose score is not better by this
 _CONVERGED = np.array([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3])  # mm and radians
 
@@ -73,8 +72,8 @@ class Drawing:
     motion: Floats
     seen: Floats
 
-    def at(self, rows: list[int]) -> "Drawing":
-        """Of B drawings in one those at some rows."""
+    def at(self, rows: NDArray[np.bool_]) -> "Drawing":
+        """Of B drawings in one some (B,)."""
         return Drawing(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def one(self, row: int) -> "Drawing":
@@ -86,42 +85,56 @@ class Drawing:
         return Drawing(*(getattr(self, f.name)[None] for f in fields(self)))
 
 
+class _Ways:
+    """B alignments on their way: where each is, the best it has been at, and how long it has not got better.
+
+    Attributes:
+        T: (B, 4, 4) from the drawing's camera to the picture's.
+        light: (B, 5) the light's change since the drawing.
+        best_T, best_light, best_score: where the score was highest, and that.
+        taken: (B,) steps taken.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.T, self.light = np.repeat(np.eye(4)[None], count, 0), np.zeros((count, len(AT_CAMERA)))
+        self.best_T, self.best_light, self.best_score = self.T.copy(), self.light.copy(), np.full(count, -1.0)
+        self.taken, self._stalled = np.zeros(count, int), np.zeros(count, int)
+
+    def go(self, going: NDArray[np.int64], found: "_Step", iterations: int) -> NDArray[np.bool_]:
+        """Take in what was found where some of them (G,) are, and go on by a step, unless there is none or no use.
+
+        Returns:
+            (G,) which of them go on.
+        """
+        gained = found.score > self.best_score[going] + _PROGRESS
+        self._stalled[going] = np.where(gained, 0, self._stalled[going] + 1)
+        better = found.score > self.best_score[going]
+        at = going[better]
+        self.best_T[at], self.best_light[at], self.best_score[at] = self.T[at], self.light[at], found.score[better]
+        small = (np.abs(found.step[:, :6]) < _CONVERGED).all(1)
+        on: NDArray[np.bool_] = (
+            found.possible & ~small & (self.taken[going] < iterations) & (self._stalled[going] < _PATIENCE)
+        )
+        at, step = going[on], found.step[on]
+        turn = transform_from(Rotation.from_rotvec(step[:, 3:6]).as_matrix(), step[:, :3])
+        self.T[at], self.light[at] = turn @ self.T[at], np.clip(self.light[at] + step[:, 6:], -MOST, MOST)
+        self.taken[at] += 1
+        return on
+
+
 @dataclass(frozen=True, slots=True)
-class _State:
-    """From the drawing's camera to the picture's (4, 4), and the light's change (5,) since the drawing."""
+class _Step:
+    """What B alignments find where they are.
 
-    T_picture_drawing: Array
-    light: Array
+    Attributes:
+        score: (B,) of each, -1 where too little is seen.
+        step: (B, 6 + 5) from there to a better place.
+        possible: (B,) whether enough is seen for one.
+    """
 
-    def moved(self, step: Array) -> "_State":
-        turn = transform_from(cv2.Rodrigues(step[3:6])[0], step[:3])
-        return _State(turn @ self.T_picture_drawing, np.clip(self.light + step[6:], -MOST, MOST))
-
-
-@dataclass(slots=True)
-class _Way:
-    """An alignment on its way: where it is, the best it has been at, and whether it has ended."""
-
-    state: _State = field(default_factory=lambda: _State(np.eye(4), np.zeros(len(AT_CAMERA))))
-    best: _State = field(default_factory=lambda: _State(np.eye(4), np.zeros(len(AT_CAMERA))))
-    best_score: float = -1.0
-    taken: int = 0
-    stalled: int = 0
-    ended: bool = False
-
-    def go(self, score: float, step: Array | None, iterations: int) -> None:
-        """Take in the score here, and go on by a step (6 + 5,), unless there is none or no use."""
-        self.stalled = 0 if score > self.best_score + _PROGRESS else self.stalled + 1
-        if score > self.best_score:
-            self.best, self.best_score = self.state, score
-        if step is None or self.taken == iterations or self.stalled == _PATIENCE or _is_small(step):
-            self.ended = True
-            return
-        self.state, self.taken = self.state.moved(step), self.taken + 1
-
-
-def _is_small(step: Array) -> bool:
-    return bool(np.all(np.abs(step[:6]) < _CONVERGED))
+    score: Array
+    step: Array
+    possible: NDArray[np.bool_]
 
 
 class Aligner:
@@ -139,7 +152,7 @@ class Aligner:
         self.grid, self._scene = grid, scene
         self._longest_step = 1.5 * unit_mm
         rays, self._inside = grid.camera.pixel_rays()
-        self._rays = rays[self._inside].astype(np.float32)
+        self._rays = np.ascontiguousarray(rays[self._inside].T, np.float32)  # (3, R)
 
     def align(
         self,
@@ -170,28 +183,23 @@ class Aligner:
         if not count:
             return []
         drawings = self._drawn(np.asarray(T_kidney_camera, float), lights, light_known)
-        ways = [_Way() for _ in range(count)]
-        going, left = list(range(count)), drawings
-        while going:
-            scores, steps = self._step(picture, left, [ways[i].state for i in going])
-            for i, score, step in zip(going, scores, steps, strict=True):
-                ways[i].go(float(score), step, iterations)
-            on = [row for row, i in enumerate(going) if not ways[i].ended]
-            left = left if len(on) == len(going) else left.at(on)
-            going = [going[row] for row in on]
-        return [self._ended(drawings, i, way) for i, way in enumerate(ways)]
-
-    @staticmethod
-    def _ended(drawings: Drawing, i: int, way: "_Way") -> Aligned:
-        """Where the i-th of some alignments ended."""
-        own, best = drawings.one(i), way.best
-        T = own.T_kidney_camera @ inverse(best.T_picture_drawing)
-        return Aligned(T, within_limits(own.light + best.light), way.best_score, way.taken, own)
+        ways, going, left = _Ways(count), np.arange(count), drawings
+        while len(going):
+            found = self._step(picture, left, ways.T[going], ways.light[going])
+            on = ways.go(going, found, iterations)
+            left = left if on.all() else left.at(on)
+            going = going[on]
+        T = drawings.T_kidney_camera @ inverse(ways.best_T)
+        light = within_limits(drawings.light + ways.best_light)
+        return [
+            Aligned(T[i], light[i], float(ways.best_score[i]), int(ways.taken[i]), drawings.one(i))
+            for i in range(count)
+        ]
 
     def score(self, picture: Fields, drawing: Drawing, T_kidney_camera: Array, light: Array) -> float:
         """How well one drawing, moved to a pose nearby (4, 4) and a light (5,), lies on a picture."""
-        moved = _State(inverse(T_kidney_camera) @ drawing.T_kidney_camera, light - drawing.light)
-        return float(self._step(picture, drawing.alone(), [moved])[0][0])
+        moved = inverse(T_kidney_camera) @ drawing.T_kidney_camera
+        return float(self._step(picture, drawing.alone(), moved[None], (light - drawing.light)[None]).score[0])
 
     def draw(self, T_kidney_camera: Array, light: Array, light_known: bool = False) -> Drawing:
         """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
@@ -200,8 +208,13 @@ class Aligner:
     def look(self, T_kidney_camera: Array, light: Array) -> tuple[Floats, Floats]:
         """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have, and
         the wall's distance (H, W) in mm, inf without a wall."""
-        gray, distance = self._lit(T_kidney_camera[None], np.asarray(light, float)[None, None])
-        return self.grid.relief(gray[:, :, 0])[..., 0], distance[0]
+        reliefs, distances = self.looks(T_kidney_camera[None], np.asarray(light, float)[None])
+        return reliefs[0], distances[0]
+
+    def looks(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
+        """`look` from K poses (K, 4, 4), each under its light (K, 5): reliefs and distances (K, H, W)."""
+        gray, distance = self._lit(T_kidney_camera, lights[:, None])
+        return self.grid.relief(gray[:, 0]), distance
 
     def _drawn(self, T_kidney_camera: Array, light: Array, light_known: bool) -> Drawing:
         """The kidney from B poses (B, 4, 4), each under its light (B, 5): one `Drawing` with B before every shape."""
@@ -210,7 +223,7 @@ class Aligner:
             change = np.concatenate([change, np.diag(STEP)])
         gray, distance = self._lit(T_kidney_camera, light[:, None] + change)
         value, slope = grid.of_drawings(gray)
-        distance = distance[:, grid.compared]
+        distance = distance.reshape(len(distance), -1).take(grid.places, 1)
         seen = np.isfinite(distance)
         distance[~seen] = 1.0
         motion = np.repeat(grid.motion[None], len(distance), 0)
@@ -220,101 +233,72 @@ class Aligner:
         return Drawing(T_kidney_camera, light, points, value[:, 0], slope, lit, motion, seen.astype(np.float32))
 
     def _lit(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
-        """Gray values (H, W, B, M) from B poses under M lights each (B, M, 5), and the wall's distance (B, H, W), inf
+        """Gray values (B, M, H, W) from B poses under M lights each (B, M, 5), and the wall's distance (B, H, W), inf
         without a wall."""
-        R = T_kidney_camera[:, :3, :3].astype(np.float32)
-        count, rays = len(R), len(self._rays)
-        toward = (self._rays @ R.transpose(0, 2, 1)).reshape(-1, 3)
-        depths, normals = self._scene.cast(np.repeat(T_kidney_camera[:, :3, 3], rays, 0), toward)
+        R, t = T_kidney_camera[:, :3, :3].astype(np.float32), T_kidney_camera[:, :3, 3].astype(np.float32)
+        count, rays = len(R), self._rays.shape[1]
+        toward = (self._rays.T @ R.swapaxes(1, 2)).reshape(-1, 3)
+        depths, facing = self._scene.cast(np.repeat(t, rays, 0), toward)
         depth = depths.reshape(count, rays)
+        normals = -R.swapaxes(1, 2) @ facing.T.reshape(3, count, rays).swapaxes(0, 1)
+        points, hit = self._rays * depth[:, None], np.isfinite(depth)
+        if hit.all():
+            shaded = gray_values(points, normals, lights)
+        else:
+            shaded = np.zeros((count, lights.shape[1], rays), np.float32)
+            for b, wall in enumerate(hit):
+                shaded[b][:, wall] = gray_values(points[b][:, wall], normals[b][:, wall], lights[b])
         distance = np.full((count, *self._inside.shape), np.inf, np.float32)
         distance[:, self._inside] = depth
-        gray = np.zeros((*self._inside.shape, count, lights.shape[1]), np.float32)
-        for b, facing in enumerate(normals.reshape(count, rays, 3)):
-            hit = np.isfinite(depth[b])
-            shaded = gray_values(self._rays[hit] * depth[b, hit, None], -facing[hit] @ R[b], lights[b])
-            gray[np.isfinite(distance[b]), b] = shaded
+        gray = np.zeros((count, lights.shape[1], *self._inside.shape), np.float32)
+        gray[:, :, self._inside] = shaded
         return gray, distance
 
-    def _step(self, picture: Fields, drawing: Drawing, states: list["_State"]) -> tuple[Array, list[Array | None]]:
-        """Scores (B,) of states, and the step (6 + 5,) from each to a better one; None where too little is seen."""
-        T = np.stack([state.T_picture_drawing for state in states]).astype(np.float32)
-        light = np.stack([state.light for state in states])
-        points = T[:, :3, :3] @ drawing.points + T[:, :3, 3:]
-        value, slope, weight = self.grid.sample(picture, self.grid.camera.pixels(points.transpose(1, 0, 2)))
-        good = drawing.seen * weight
-        count = np.maximum(good.sum(1), 1e-3)
-        seen, seen_size = _standard(value, good, count)
-        drawn = drawing.value
-        if drawing.lit.shape[1]:
-            drawn = drawn + np.einsum("bl,blcn->bcn", light.astype(np.float32), drawing.lit)
-        drawn, drawn_size = _standard(drawn, good, count)
-        correlation = ((seen * drawn) @ good[..., None])[..., 0] / count[:, None]
-        gain = np.maximum(correlation, np.float32(_LEAST_GAIN))[..., None]
-        residual: Floats = seen - gain * drawn
-        gradient = 0.5 * (slope / seen_size[:, None] + drawing.slope * (gain / drawn_size)[:, None])
-        lit = drawing.lit * (-gain / drawn_size)[:, None]
-        robust = _tukey(residual, good, count)
-        normal, slant = _normal_equations(drawing.motion, gradient, lit, robust, residual)
+    def _step(self, picture: Fields, drawing: Drawing, T_picture_drawing: Array, light: Array) -> _Step:
+        """What B drawings find where they lie on a picture when moved (B, 4, 4), and lit otherwise by (B, 5)."""
+        T, pixels = T_picture_drawing.astype(np.float32), drawing.seen.shape[1]
+        points = T[:, :3, :3] @ drawing.points
+        points += T[:, :3, 3:]
+        rows = np.empty(
+            (len(T), 4 * FIELDS, pixels), np.float32
+        )  # the picture's slopes and values, the drawing's values
+        good = self.grid.sample(picture, self.grid.camera.pixels(points.transpose(1, 0, 2)), rows[:, : 3 * FIELDS])
+        good *= drawing.seen
+        rows[:, 3 * FIELDS :] = drawing.value
+        if lights := drawing.lit.shape[1]:
+            changed = light.astype(np.float32)[:, None] @ drawing.lit.reshape(len(T), lights, -1)
+            rows[:, 3 * FIELDS :] += changed.reshape(len(T), FIELDS, pixels)
+        count = np.maximum(good.sum(1), np.float32(1e-3))
+        fields = rows[:, 2 * FIELDS :]
+        correlation, a, b, c = correlated(fields, good, count)
+        residual = fields[:, :FIELDS] * a
+        residual -= fields[:, FIELDS:] * b
+        residual += c
+        gradient = rows[:, : 2 * FIELDS].reshape(len(T), 2, FIELDS, pixels)
+        gradient *= (a / 2)[:, None]
+        gradient += drawing.slope * (b / 2)[:, None]
+        robust = tukey(residual, good, count)
+        normal, slant = normal_equations(drawing.motion, gradient, drawing.lit, b, robust, residual)
         enough = count >= LEAST_PIXELS
-        steps = [
-            self._solved(normal[b], slant[b], float(count[b]), drawing.light[b] + light[b]) if enough[b] else None
-            for b in range(len(states))
-        ]
-        return np.where(enough, correlation.mean(1), -1.0), steps
+        step = self._solved(normal, slant, count, drawing.light + light)
+        return _Step(np.where(enough, correlation.mean(1), -1.0), step, enough)
 
-    def _solved(self, normal: Array, slant: Array, count: float, light: Array) -> Array:
-        """The step (6 + 5,) that normal equations (6 + L, 6 + L) and (6 + L,) ask for, L 5 or 0, from a light (5,)."""
-        normal = normal + np.diag(_DAMPING * np.diag(normal) + 1e-9)
-        step = np.zeros(6 + len(light))
-        if len(slant) > 6:
-            prior = _LIGHT_PRIOR * count / SPREAD**2
-            normal[np.arange(6, 11), np.arange(6, 11)] += prior
-            slant = slant + np.concatenate([np.zeros(6), prior * (light - AT_CAMERA)])
-        step[: len(slant)] = -np.linalg.solve(normal, slant)
+    def _solved(self, normal: Array, slant: Array, count: Floats, light: Array) -> Array:
+        """The steps (B, 6 + 5) that normal equations (B, 6 + L, 6 + L) and (B, 6 + L) ask for, L 5 or 0, from lights
+        (B, 5)."""
+        size = slant.shape[1]
+        each, diagonal = np.arange(size), np.einsum("bii->bi", normal)
+        normal[:, each, each] += _DAMPING * diagonal + 1e-9
+        step = np.zeros((len(slant), 6 + len(AT_CAMERA)))
+        if size > 6:
+            prior = _LIGHT_PRIOR * count[:, None] / SPREAD**2
+            normal[:, each[6:], each[6:]] += prior
+            slant[:, 6:] += prior * (light - AT_CAMERA)
+        step[:, :size] = -np.linalg.solve(normal, slant[..., None])[..., 0]
         return self._limited(step)
 
     def _limited(self, step: Array) -> Array:
-        """A step shortened to what one linearization can be trusted with."""
-        far, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:6]))
-        return step * min(1.0, self._longest_step / max(far, 1e-12), _LARGEST_TURN / max(turned, 1e-12))
-
-
-def _normal_equations(
-    motion: Floats, gradient: Floats, lit: Floats, weight: Floats, residual: Floats
-) -> tuple[Array, Array]:
-    """J W J^T (B, 6 + L, 6 + L) and J W r (B, 6 + L) for the rows ``gradient . motion`` and ``lit`` of J.
-
-    A field's row is the field's gradient (2, 3, N) times the motion of its pixels (6, 2, N), which all fields share,
-    so fields are summed before they are multiplied out.
-    """
-    x, y = motion[:, :, 0], motion[:, :, 1]
-    weighted = gradient * weight[:, None]
-    xx, yy = (weighted * gradient).sum(2).swapaxes(0, 1)
-    xy = (weighted[:, 0] * gradient[:, 1]).sum(1)
-    bx, by = (weighted * residual[:, None]).sum(2).swapaxes(0, 1)[..., None]
-    across, down = x.swapaxes(1, 2), y.swapaxes(1, 2)
-    normal = (x * xx[:, None] + y * xy[:, None]) @ across + (x * xy[:, None] + y * yy[:, None]) @ down
-    slant = (x @ bx + y @ by)[..., 0]
-    if lit.shape[1]:
-        at_x, at_y = np.einsum("bacn,bkcn->abnk", weighted, lit)
-        beside, flat = x @ at_x + y @ at_y, lit.reshape(*lit.shape[:2], -1)
-        own = (lit * weight[:, None]).reshape(flat.shape)
-        normal = np.block([[normal, beside], [beside.swapaxes(1, 2), own @ flat.swapaxes(1, 2)]])
-        slant = np.concatenate([slant, (own @ residual.reshape(len(residual), -1, 1))[..., 0]], 1)
-    return normal.astype(float), slant.astype(float)
-
-
-def _standard(field: Floats, good: Floats, count: Floats) -> tuple[Floats, Floats]:
-    """Fields (B, 3, N) with mean 0 and size 1 over the pixels that count (B, N), and their size (B, 3, 1) before."""
-    each, counted = good[..., None], count[:, None, None]
-    centered = field - (field @ each) / counted
-    size = np.sqrt((np.square(centered) @ each) / counted) + np.float32(1e-6)
-    return centered / size, size
-
-
-def _tukey(residual: Floats, good: Floats, count: Floats) -> Floats:
-    """Tukey's biweights (B, 3, N) of residuals (B, 3, N), zero where ``good`` (B, N) is."""
-    square = np.square(residual)
-    size = np.float32(_TUKEY**2) * (square @ good[..., None]) / count[:, None, None] + np.float32(1e-6)
-    return np.square(1 - np.minimum(square / size, 1)) * good[:, None]
+        """Steps (..., 6 + 5) shortened to what one linearization can be trusted with."""
+        far, turned = (np.sqrt(np.square(part).sum(-1)) for part in (step[..., :3], step[..., 3:6]))
+        over = np.maximum(far / self._longest_step, turned / _LARGEST_TURN)
+        return np.asarray(step / np.maximum(over, 1.0)[..., None])

@@ -1,6 +1,7 @@
 """What pictures are aligned on: the relief and its softly normalized gradient, small, and how a pose moves them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import DefaultSettings, Features, LocalPlane
+from ursnav_torch.features.flatten import blur
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -30,12 +32,18 @@ class Fields:
         value: (3, H, W).
         slope_x, slope_y: (3, H, W) change per px.
         weight: (H, W) 0 to 1, how much each pixel counts.
+        together: slopes and values as OpenCV samples them fastest, (H, W, 4), (H, W, 4) and (H, W).
     """
 
     value: Floats
     slope_x: Floats
     slope_y: Floats
     weight: Floats
+    together: tuple[Floats, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        planes = (*self.slope_x, *self.slope_y, *self.value)
+        object.__setattr__(self, "together", tuple(cv2.merge(planes[i : i + 4]) for i in range(0, len(planes), 4)))
 
 
 class AlignGrid:
@@ -49,7 +57,7 @@ class AlignGrid:
     Attributes:
         camera: the lens at this size.
         mask: (H, W) 1.0 inside the picture.
-        compared: (H, W) bool, the N pixels compared.
+        compared: (H, W) bool, the N pixels compared; ``places`` (N,) where they are in the flat picture.
         rays: (3, N) their unit rays.
         motion: (6, 2, N) px in x and y by which the image of a wall point at distance 1 on each ray moves when the
             point moves along x, y, z, and when it turns about x, y, z around the camera.
@@ -62,95 +70,126 @@ class AlignGrid:
         rays, inside = self.camera.pixel_rays()
         self.mask = (_blur(inside.astype(np.float32), 1.0) > 0.99).astype(np.float32)
         self.compared = _blur(self.mask, max(1.0, _RIM / 2 * GRADIENT_BLUR * self._unit)) > 0.97
-        self._counted = self.compared.astype(np.float32)
+        self._counted, self.places = self.compared.astype(np.float32), np.flatnonzero(self.compared)
         self.rays = np.ascontiguousarray(rays[self.compared].T, np.float32)
         self.motion = _motion(self.camera, rays[self.compared]).astype(np.float32)
         self._shares: dict[float, Floats] = {}
         self._reach = settings.relief_reach * self._unit
         around = LocalPlane(torch.from_numpy(self.mask), self._reach)
-        self._columns, self._weights = (
-            v.numpy().transpose(1, 2, 0)[..., None] for v in (around.columns, around.weights)
-        )
+        self._columns, self._weights = around.columns.numpy(), around.weights.numpy()
+        self._last: tuple[Features, Fields] | None = None
 
     def of_picture(self, features: Features) -> Fields:
-        """Fields of a picture from its relief, weighted by how much of each pixel is valid."""
-        relief = self.small(features.fields[0])
-        value = self._fields((relief * self.mask)[..., None])[..., 0]
+        """Fields of a picture from its relief, weighted by how much of each pixel is valid.
+
+        The last picture's are kept: a track aligns several poses with it, one after the other.
+        """
+        last = self._last
+        if last is None or last[0] is not features:
+            self._last = last = features, self._of_picture(features)
+        return last[1]
+
+    def _of_picture(self, features: Features) -> Fields:
+        relief = (self.small(features.fields[0]) * self.mask)[None]
+        x, y = self._gradient(relief)
+        half = _softness(_strength(x, y).reshape(1, -1).take(self.places, 1))
+        value = np.concatenate([relief, *self._normalized(x, y, half)])
         weight = self._counted * self.small(features.valid) if features.valid.numel() else self._counted
-        planes, x, y = (np.ascontiguousarray(field.transpose(2, 0, 1)) for field in (value, *_slopes(value)))
-        return Fields(planes, x, y, weight)
+        return Fields(value, *_slopes(value), weight)
 
     def small(self, image: Tensor) -> Floats:
         """A picture (..., h, w) at the extractor's working size at this one (..., H, W)."""
-        size = (self.camera.height, self.camera.width)
-        planes = image.reshape(1, -1, *image.shape[-2:])
-        small = torch.nn.functional.interpolate(planes, size, mode="bilinear", antialias=True)
-        return np.asarray(small.reshape(*image.shape[:-2], *size).numpy(), np.float32)
+        rows, columns = (
+            _shrinking(*sizes) for sizes in zip(image.shape[-2:], (self.camera.height, self.camera.width), strict=True)
+        )
+        return np.asarray((rows @ image @ columns.T).numpy(), np.float32)
 
     def of_drawings(self, gray: Floats) -> tuple[Floats, Floats]:
-        """Fields (B, M, 3, N) of drawings (H, W, B, M) in gray values 0 to 255, and slopes (B, 2, 3, N) of the first of
-        each M."""
-        height, width, poses, lights = gray.shape
-        value = self._fields(self.relief(gray.reshape(height, width, -1)), lights)
-        first = np.ascontiguousarray(value[..., ::lights])  # (H, W, 3, B)
-        along = np.stack(_slopes(first.reshape(height, width, -1)))[:, self.compared]  # (2, N, 3 B)
-        slope = along.reshape(2, -1, 3, poses).transpose(3, 0, 2, 1)
-        inside = value[self.compared].reshape(-1, 3, poses, lights)
-        return np.ascontiguousarray(inside.transpose(2, 3, 1, 0)), np.ascontiguousarray(slope)
+        """Fields (B, M, 3, N) of drawings (B, M, H, W) in gray values 0 to 255, and slopes (B, 2, 3, N) of the first of
+        each M, whose strength sets how soft the gradients of all are."""
+        poses, lights, height, width = gray.shape
+        relief = self.relief(gray.reshape(-1, height, width))
+        x, y = self._gradient(relief)
+        value = np.stack([part.reshape(len(part), -1).take(self.places, 1) for part in (relief, x, y)], 1)
+        strength = _strength(value[:, 1], value[:, 2])
+        half = _softness(strength[::lights])
+        value[:, 1:] /= np.sqrt(strength + np.square(np.repeat(half, lights))[:, None])[:, None]
+        first = np.stack([relief[::lights], *self._normalized(x[::lights], y[::lights], half)], 1)  # (B, 3, H, W)
+        slopes = [part.reshape(poses, 3, -1).take(self.places, 2) for part in _slopes(first)]
+        return value.reshape(poses, lights, 3, -1), np.stack(slopes, 1)
 
     def relief(self, gray: Floats) -> Floats:
-        """Relief (H, W, M) of drawings (H, W, M) in gray values: `features.flatten.flatten` on small pictures."""
-        mask = self.mask[..., None]
-        log_image = self._masked_blur(np.log(gray + 8), max(self._settings.relief_blur * self._unit, 0.5))
-        detail = (log_image - self._planes(log_image)) * mask
-        contrast = np.sqrt(self._masked_blur(detail * detail, self._reach) + np.float32(_FLOOR**2))
-        return np.clip(detail / contrast, -_MOST, _MOST) * mask
+        """Relief (M, H, W) of drawings (M, H, W) in gray values: `features.flatten.flatten` on small pictures."""
+        log_image = self._masked_blur(np.log(gray + np.float32(8)), max(self._settings.relief_blur * self._unit, 0.5))
+        detail = (log_image - self._planes(log_image)) * self.mask
+        contrast = self._masked_blur(np.square(detail), self._reach)
+        contrast += np.float32(_FLOOR**2)
+        detail /= np.sqrt(contrast, out=contrast)
+        return np.clip(detail, -_MOST, _MOST, out=detail)
 
-    def sample(self, fields: Fields, pixels: Floats) -> tuple[Floats, Floats, Floats]:
-        """Values (B, 3, N) and slopes (B, 2, 3, N) of a picture at places (2, B, N) px, and how much each counts
-        (B, N)."""
+    def sample(self, fields: Fields, pixels: Floats, out: Floats) -> Floats:
+        """A picture at places (2, B, N) px: slopes in x and in y, then values, all into ``out`` (B, 9, N); and how much
+        each place counts (B, N)."""
         x, y = pixels
-        parts = np.empty((3, 3, *x.shape), np.float32)
-        for part, of in zip(parts, (fields.value, fields.slope_x, fields.slope_y), strict=True):
-            for row, plane in zip(part, of, strict=True):  # rows that lie together are what is fast afterwards
-                cv2.remap(plane, x, y, cv2.INTER_LINEAR, row, cv2.BORDER_REPLICATE)
+        row = 0
+        for some in fields.together:
+            parts = cv2.remap(some, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for part in cv2.split(parts):
+                out[:, row] = part
+                row += 1
         weight = cv2.remap(fields.weight, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        by_place = np.moveaxis(parts, 2, 0)
-        return by_place[:, 0], by_place[:, 1:], np.asarray(weight, np.float32)
+        return np.asarray(weight, np.float32)
 
-    def _fields(self, relief: Floats, lights: int = 1) -> Floats:
-        """Relief and softly normalized gradient (H, W, 3, M) of reliefs (H, W, M); the first of every so many lights
-        sets their softness."""
-        x, y = _slopes(self._masked_blur(relief, GRADIENT_BLUR * self._unit))
-        strength = (x * x + y * y) * self.mask[..., None]
-        middle = np.median(strength[self.compared][:, ::lights], axis=0)
-        half = np.repeat(GRADIENT_SOFTNESS * np.sqrt(middle) + np.float32(1e-6), lights).astype(np.float32)
-        share = self.mask[..., None] / np.sqrt(strength + half * half)
-        return np.stack([relief, x * share, y * share], axis=2)
+    def _gradient(self, relief: Floats) -> tuple[Floats, Floats]:
+        """Slopes in x and in y, (M, H, W) each, of smoothed reliefs (M, H, W)."""
+        return _slopes(self._masked_blur(relief, GRADIENT_BLUR * self._unit))
+
+    def _normalized(self, x: Floats, y: Floats, half: Floats) -> tuple[Floats, Floats]:
+        """Gradients (M, H, W) softly normalized: at strengths of ``half`` (M,) they are at half their length."""
+        share = self.mask / np.sqrt(_strength(x, y) * self.mask + np.square(half)[:, None, None])
+        return x * share, y * share
 
     def _planes(self, x: Floats) -> Floats:
-        """Planes through the surroundings (H, W, M) of (H, W, M), as `features.LocalPlane`."""
-        products = x[:, :, None] * self._columns
-        return (_blur(products.reshape(*x.shape[:2], -1), self._reach).reshape(products.shape) * self._weights).sum(2)
+        """Planes through the surroundings (M, H, W) of (M, H, W), as `features.LocalPlane`."""
+        return np.einsum("mkhw,khw->mhw", _blur(x[:, None] * self._columns, self._reach), self._weights)
 
     def _masked_blur(self, x: Floats, sigma_px: float) -> Floats:
-        """Gaussian mean of (H, W, M) over the pixels inside, as `features.flatten.masked_blur`."""
+        """Gaussian mean of (M, H, W) over the pixels inside, as `features.flatten.masked_blur`."""
         if sigma_px not in self._shares:
-            share = np.maximum(_blur(self.mask, sigma_px), np.float32(1e-3))[..., None]
-            self._shares[sigma_px] = np.asarray(1 / share, np.float32)
-        return _blur(x * self.mask[..., None], sigma_px) * self._shares[sigma_px]
+            self._shares[sigma_px] = np.asarray(1 / np.maximum(_blur(self.mask, sigma_px), 1e-3), np.float32)
+        found = _blur(x * self.mask, sigma_px)
+        found *= self._shares[sigma_px]
+        return found
+
+
+@lru_cache(maxsize=16)
+def _shrinking(here: int, there: int) -> Tensor:
+    """The matrix (there, here) that shrinks a column of pixels, as torch does with antialiasing."""
+    each = torch.eye(here)[None, None]
+    return torch.nn.functional.interpolate(each, (there, here), mode="bilinear", antialias=True)[0, 0]
+
+
+def _strength(x: Floats, y: Floats) -> Floats:
+    """Squared strength of gradients."""
+    return np.square(x) + np.square(y)
+
+
+def _softness(strength: Floats) -> Floats:
+    """(M,) strength of gradients that counts half, from squared strengths (M, N)."""
+    return np.asarray(GRADIENT_SOFTNESS * np.sqrt(np.median(strength, axis=1)) + 1e-6, np.float32)
 
 
 def _blur(x: Floats, sigma_px: float) -> Floats:
-    """Gaussian blur of (H, W) or (H, W, M) with zeros beyond the border, as `features.flatten.blur`."""
-    size = 2 * max(1, round(3 * sigma_px)) + 1
-    return cv2.GaussianBlur(x, (size, size), sigma_px, borderType=cv2.BORDER_CONSTANT).reshape(x.shape)
+    """`features.flatten.blur` of arrays (..., H, W)."""
+    return np.asarray(blur(torch.from_numpy(x), sigma_px).numpy())
 
 
 def _slopes(x: Floats) -> tuple[Floats, Floats]:
-    """Sobel slopes per px in x and y of (H, W, M)."""
-    dx = cv2.Sobel(x, -1, 1, 0, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
-    dy = cv2.Sobel(x, -1, 0, 1, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
+    """Sobel slopes per px in x and y of planes (..., H, W), one above the other: first and last rows are neighbors',
+    but no lens shows anything there."""
+    tall = x.reshape(-1, x.shape[-1])
+    dx = cv2.Sobel(tall, -1, 1, 0, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
+    dy = cv2.Sobel(tall, -1, 0, 1, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     return dx.reshape(x.shape), dy.reshape(x.shape)
 
 

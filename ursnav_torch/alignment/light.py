@@ -8,7 +8,7 @@ well off the axis.
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.rendering import HeadLight
+from ursnav_torch.rendering import HeadLight, percentile
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -64,22 +64,29 @@ def within_limits(light: Array) -> Array:
 
 
 def gray_values(points_mm: Floats, normals: Floats, lights: Array) -> Floats:
-    """Gray values (N, M), 0 to 255, of wall points (N, 3) with normals (N, 3), camera frame, under M lights (M, 5).
+    """Gray values (..., M, N), 0 to 255, of wall points (..., 3, N) with normals (..., 3, N), camera frame, under M
+    lights (..., M, 5).
 
     `HeadLight.shade` for all lights at once; the first light sets the exposure of all.
     """
-    if not len(points_mm):
-        return np.zeros((0, len(lights)), np.float32)
-    offset, reach, ambient = lights[:, :3].astype(np.float32), lights[:, 3], lights[:, 4].astype(np.float32)
-    square = _dot(points_mm, points_mm) - 2 * points_mm @ offset.T + np.square(offset).sum(1)
-    facing = normals @ offset.T - _dot(points_mm, normals)
-    cosine = facing / np.sqrt(np.maximum(square, 1e-6))
-    radiance = (np.clip(cosine, 0, 1) + ambient) / (square + np.square(reach).astype(np.float32))
-    reference = max(float(np.percentile(radiance[:, 0], _DEFAULT.exposure_percentile)), 1e-12)
-    gray = np.float32(_DEFAULT.exposure_level) * (radiance / np.float32(reference)) ** np.float32(1 / _DEFAULT.gamma)
-    return 255 * np.clip(gray, 0, 1)
+    if not points_mm.shape[-1]:
+        return np.zeros((*lights.shape[:-1], 0), np.float32)
+    offset, reach, ambient = lights[..., :3].astype(np.float32), lights[..., 3, None], lights[..., 4, None]
+    square = _dot(points_mm, points_mm) - 2 * offset @ points_mm + np.square(offset).sum(-1)[..., None]
+    radiance = offset @ normals - _dot(points_mm, normals)
+    radiance /= np.sqrt(np.maximum(square, np.float32(1e-6)))
+    np.clip(radiance, 0, 1, out=radiance)
+    radiance += ambient.astype(np.float32)
+    radiance /= square + np.square(reach).astype(np.float32)
+    reference = percentile(radiance[..., 0, :], _DEFAULT.exposure_percentile)
+    radiance /= np.maximum(reference, 1e-12)[..., None, None].astype(np.float32)
+    gray = np.power(radiance, np.float32(1 / _DEFAULT.gamma), out=radiance)
+    gray *= np.float32(_DEFAULT.exposure_level)
+    np.clip(gray, 0, 1, out=gray)
+    gray *= 255
+    return gray
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Products (N, 1) of vectors (N, 3)."""
-    return np.einsum("ni,ni->n", a, b)[:, None]
+    """Products (..., 1, N) of vectors (..., 3, N)."""
+    return np.einsum("...in,...in->...n", a, b)[..., None, :]

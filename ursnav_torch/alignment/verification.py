@@ -117,8 +117,8 @@ class Verifier:
 
     def drawn(self, hypotheses: Sequence[Aligned]) -> Drawn:
         """Hypotheses drawn from where they ended, in the light found."""
-        looks = [self._aligner.look(h.T_kidney_camera, h.light) for h in hypotheses]
-        relief, distance = (torch.from_numpy(np.stack(part)) for part in zip(*looks, strict=True))
+        T, lights = np.stack([h.T_kidney_camera for h in hypotheses]), np.stack([h.light for h in hypotheses])
+        relief, distance = map(torch.from_numpy, self._aligner.looks(T, lights))
         return Drawn(relief, distance / self._unit_mm)
 
 

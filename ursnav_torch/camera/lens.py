@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ursnav_torch.camera.models import MODELS, fold_angle, radial
+from ursnav_torch.camera.models import MODELS, equidistant_offsets, fold_angle, radial
 from ursnav_torch.errors import InputError
 
 _MASK_HEAD = "data:image/png;base64,"
@@ -82,8 +82,11 @@ class Camera:
 
     def pixels(self, points_camera: NDArray[np.float32]) -> NDArray[np.float32]:
         """Pixels (2, ...) of camera-frame points (3, ...), wherever they lie: `project` for who asks many times."""
-        offsets, _ = MODELS[self.model].project(self.k, np.moveaxis(points_camera, 0, -1))  # type: ignore[arg-type]
-        found = np.ascontiguousarray(np.moveaxis(offsets, -1, 0), np.float32)
+        if self.model == "equidistant":
+            found = equidistant_offsets(self.k, points_camera)
+        else:
+            offsets, _ = MODELS[self.model].project(self.k, np.moveaxis(points_camera, 0, -1))  # type: ignore[arg-type]
+            found = np.ascontiguousarray(np.moveaxis(offsets, -1, 0), np.float32)
         for row, focal, center in zip(found, (self.fx, self.fy), (self.cx, self.cy), strict=True):
             row *= np.float32(focal)
             row += np.float32(center)

@@ -57,6 +57,16 @@ def _equidistant(k: K, p: Array) -> Found:
     return p[..., :2] * scale[..., None], ((r > 0) | (p[..., 2] > 0)) & (angle <= fold_angle(k))
 
 
+def equidistant_offsets(k: K, points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Offsets (2, ...) of points (3, ...) in an equidistant lens, wherever they lie: numbers of one kind together,
+    which is what is fast."""
+    x, y, z = points
+    r = np.sqrt(x * x + y * y)
+    angle = np.arctan2(r, z)
+    scale = radial(angle, k) if any(k) else angle
+    return np.asarray(points[:2] * (scale / np.maximum(r, np.float32(1e-12))), np.float32)
+
+
 def _from_equidistant(k: K, q: Array) -> Found:
     r = np.hypot(q[..., 0], q[..., 1])
     end = fold_angle(k)

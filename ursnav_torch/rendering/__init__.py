@@ -2,7 +2,7 @@
 
 from ursnav_torch.rendering.base import Renderer, View
 from ursnav_torch.rendering.deform import Deformation, WarpSettings, deform_mesh
-from ursnav_torch.rendering.light import FlatLight, HeadLight, Light
+from ursnav_torch.rendering.light import FlatLight, HeadLight, Light, percentile
 from ursnav_torch.rendering.raycast import RaycastRenderer, RayScene
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "View",
     "WarpSettings",
     "deform_mesh",
+    "percentile",
 ]

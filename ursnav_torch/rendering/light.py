@@ -72,6 +72,15 @@ class HeadLight:
         square = np.sum(to_light * to_light, axis=-1)
         cosine = np.sum(to_light * normals, axis=-1) / np.sqrt(np.maximum(square, 1e-12))
         radiance = (np.clip(cosine, 0, 1) + self.ambient) / (square + self.reach_mm**2)
-        reference = np.percentile(radiance, self.exposure_percentile)
+        reference = percentile(radiance, self.exposure_percentile)
         gray = self.exposure_level * (radiance / max(float(reference), 1e-12)) ** (1 / self.gamma)
         return np.clip(gray, 0, 1)
+
+
+def percentile(values: Floats, q: float) -> Floats:
+    """`numpy.percentile` over the last axis (..., N) of finite numbers, without its look for others."""
+    place = q / 100 * (values.shape[-1] - 1)
+    low = int(place)
+    high = min(low + 1, values.shape[-1] - 1)
+    ordered = np.partition(values, (low, high), axis=-1)
+    return np.asarray(ordered[..., low] + (place - low) * (ordered[..., high] - ordered[..., low]))

@@ -49,11 +49,12 @@ class RayScene:
     def _normals(self, face: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
         """Unit normals (3, N) in faces (N,) at barycentric coordinates u and v (N,)."""
         first = 1 - u - v
-        a, b, c = self._corners
-        smooth = np.stack([first * a[i][face] + u * b[i][face] + v * c[i][face] for i in range(3)])
-        size = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
-        smooth /= np.maximum(size, 1e-9)
-        return smooth
+        a, b, c = (corner.take(face, 1, mode="clip") for corner in self._corners)  # clip: no check, and no copy of it
+        a *= first
+        a += u * b
+        a += v * c
+        a /= np.maximum(np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]), 1e-9)
+        return a
 
 
 class RaycastRenderer:
