@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from kornia.geometry.transform import resize
 
 from ursnav_torch.camera import Camera, equidistant_camera, pinhole_camera
 from ursnav_torch.errors import FeatureError, InputError
@@ -16,6 +17,7 @@ from ursnav_torch.features import (
     settings_from_dict,
     settings_to_dict,
 )
+from ursnav_torch.features.default import _shrinking
 
 BOTH = pytest.mark.parametrize("settings", [DefaultSettings(), ThesisSettings()], ids=["default", "thesis"])
 EVERY = pytest.mark.parametrize(
@@ -173,3 +175,11 @@ def test_without_edges_maps_are_the_same_and_a_picture_with_few_is_not_refused()
     assert len(whole.edges) and not len(plain.edges) and not plain.edge_image.any()
     strict = make_extractor(DefaultSettings(points=9000, min_points=9000), LENS)
     assert strict.extract(picture, edges=False).maps.numel()  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("size", [(125, 125), (100, 90), (125, 200)])
+def test_a_picture_is_shrunk_as_kornia_does(size: tuple[int, int]) -> None:
+    picture = torch.rand(250, 200, generator=torch.Generator().manual_seed(0))
+    rows, columns = _shrinking(250, size[0]), _shrinking(200, size[1])
+    expected = resize(picture[None, None], size, antialias=True)[0, 0]
+    torch.testing.assert_close(rows @ picture @ columns.T, expected, atol=1e-5, rtol=0)

@@ -72,6 +72,7 @@ def test_gray_and_equal_color_pictures_read_alike() -> None:
     one, three = reader.read(gray), reader.read(np.repeat(gray[..., None], 3, 2))
     torch.testing.assert_close(one[0], three[0])
     assert one[0].shape == (5, 125, 125) and one[1].shape == (2, 125, 125)
+    torch.testing.assert_close(reader.before(gray), one[1])
 
 
 def test_a_plain_view_reads_as_its_own_relief(vid: Vid, phantom: Kidney) -> None:

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from ursnav_torch.errors import InputError
+from ursnav_torch.features.network import WallReader
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.settings import ReadingSettings, TrackSettings
 from ursnav_torch.tracking.tracker import Tracker
@@ -32,13 +34,21 @@ def test_the_share_of_the_network_is_the_tracks_own(vid: Vid, image: np.ndarray)
     np.testing.assert_array_equal(none, relief(plain, image, None))
 
 
-def test_what_lies_before_the_wall_is_told_at_any_share(vid: Vid, image: np.ndarray) -> None:
-    """The network is asked for it as long as the VID's features ask one."""
+def test_what_lies_before_the_wall_is_told_at_any_share(
+    vid: Vid, image: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The network is asked for it as long as the VID's features ask one, and for the rest where that has a share."""
+    lens = Tracker(vid).working_camera
+    stone = torch.zeros(2, lens.height, lens.width)
+    stone[0, lens.height // 3 : lens.height // 2, lens.width // 3 : lens.width // 2] = 0.99
+    monkeypatch.setattr(WallReader, "before", lambda reader, image: stone)
     features = Tracker(vid, TrackSettings(ReadingSettings(0.0))).extract(image)
+    assert features is not None and [body.kind for body in features.bodies] == ["stone"] and not features.read.numel()
+    features = Tracker(vid, TrackSettings(ReadingSettings(0.5))).extract(image)
     assert features is not None and features.read.numel()
     plain = replace(vid, settings=replace(vid.settings, learned=0.0))
     features = Tracker(plain, TrackSettings(ReadingSettings(0.5))).extract(image)
-    assert features is not None and not features.read.numel()
+    assert features is not None and not features.read.numel() and not features.bodies
 
 
 def test_a_share_is_one() -> None:

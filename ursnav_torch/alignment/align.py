@@ -265,9 +265,8 @@ class Aligner:
         good = self.grid.sample(picture, self.grid.camera.pixels(points.transpose(1, 0, 2)), rows[:, : 3 * FIELDS])
         good *= drawing.seen
         rows[:, 3 * FIELDS :] = drawing.value
-        if lights := drawing.lit.shape[1]:
-            changed = light.astype(np.float32)[:, None] @ drawing.lit.reshape(len(T), lights, -1)
-            rows[:, 3 * FIELDS :] += changed.reshape(len(T), FIELDS, pixels)
+        if drawing.lit.shape[1]:
+            rows[:, 3 * FIELDS :] += np.einsum("bl,blcn->bcn", light.astype(np.float32), drawing.lit)
         count = np.maximum(good.sum(1), np.float32(1e-3))
         fields = rows[:, 2 * FIELDS :]
         correlation, a, b, c = correlated(fields, good, count)

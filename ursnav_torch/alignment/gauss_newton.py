@@ -1,7 +1,8 @@
 """The arithmetic of one Gauss-Newton step, of B alignments at once.
 
 Every pass through the pixels costs, so means, sizes and correlations come from one product of the fields with
-themselves, and what is constant over a field is multiplied in last.
+themselves, and what is constant over a field is multiplied in last. Products with a single vector are sums: NumPy's
+library of matrices would wake a second thread for each.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ def correlated(fields: Floats, good: Floats, count: Floats) -> tuple[Floats, Flo
         and size 1, the drawing's times its correlation, is ``a * picture - b * drawing + c``.
     """
     every = count[:, None]
-    mean = (fields @ good[..., None])[..., 0] / every
+    mean = np.einsum("bcn,bn->bc", fields, good) / every
     square = (fields * good[:, None]) @ fields.swapaxes(1, 2) / every[..., None] - mean[:, :, None] * mean[:, None]
     size = np.sqrt(np.maximum(np.einsum("bii->bi", square), 0)) + np.float32(_LEAST_SIZE)
     each = np.arange(FIELDS)
@@ -43,7 +44,9 @@ def correlated(fields: Floats, good: Floats, count: Floats) -> tuple[Floats, Flo
 def tukey(residual: Floats, good: Floats, count: Floats) -> Floats:
     """Tukey's biweights (B, 3, N) of residuals (B, 3, N), zero where ``good`` (B, N) is."""
     weight = np.square(residual)
-    size = np.float32(_TUKEY**2) * (weight @ good[..., None]) / count[:, None, None] + np.float32(1e-6)
+    size = np.float32(_TUKEY**2) * np.einsum("bcn,bn->bc", weight, good)[..., None] / count[:, None, None] + np.float32(
+        1e-6
+    )
     weight *= -1 / size
     weight += 1
     np.maximum(weight, 0, out=weight)
@@ -69,7 +72,7 @@ def normal_equations(
     turned += motion[:, :, ::-1] * cross[:, None, None]
     flat = motion.reshape(count, 6, 2 * pixels)
     normal = turned.reshape(flat.shape) @ flat.swapaxes(1, 2)
-    slant = (flat @ asked.reshape(count, -1, 1))[..., 0]
+    slant = np.einsum("bin,bn->bi", flat, asked.reshape(count, -1))
     if lights := lit.shape[1]:
         weighted *= -b[:, None]
         at = weighted[:, None, :, 0] * lit[:, :, None, 0]  # (B, L, 2, N)
@@ -78,7 +81,7 @@ def normal_equations(
         beside, rows = flat @ at.reshape(count, lights, -1).swapaxes(1, 2), lit.reshape(count, lights, -1)
         counted = weight * np.square(b)
         own_lit = (lit * counted[:, None]).reshape(rows.shape) @ rows.swapaxes(1, 2)
-        asked_lit = rows @ (weight * -b * residual).reshape(count, -1, 1)
+        asked_lit = np.einsum("bln,bn->bl", rows, (weight * -b * residual).reshape(count, -1))
         normal = np.block([[normal, beside], [beside.swapaxes(1, 2), own_lit]])
-        slant = np.concatenate([slant, asked_lit[..., 0]], 1)
+        slant = np.concatenate([slant, asked_lit], 1)
     return normal.astype(float), slant.astype(float)

@@ -5,6 +5,7 @@ which knows skin, wet spots and stones from walls (`features.network`): the form
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -112,7 +113,8 @@ class DefaultExtractor:
         """See `Extractor.extract`; without ``edges`` nobody looks for edge points, nor refuses a picture with few.
 
         ``bare`` features are what a track reads of every picture: the relief, and what lies before the wall. Their maps
-        come from `with_relief` where somebody searches by them; contrast and grain nobody asks.
+        come from `with_relief` where somebody searches by them; contrast and grain nobody asks, nor, where the network
+        has no share in the relief, what else it reads.
         """
         check_image(image, self.camera)
         gray = signal(image)
@@ -128,8 +130,11 @@ class DefaultExtractor:
         bodies: tuple[ForegroundBody, ...] = ()
         read = NOTHING_READ
         if not virtual and self._network is not None:
-            read, before = self._network.read(image)
-            relief = blend(relief, read[0], self._small_mask, self._learned)
+            if bare and not self._learned:
+                before = self._network.before(image)
+            else:
+                read, before = self._network.read(image)
+                relief = blend(relief, read[0], self._small_mask, self._learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
         fields = relief[None] if bare else self._fields(relief)
@@ -145,8 +150,8 @@ class DefaultExtractor:
         """The log of a gray picture (H, W), without stripes, at the working size (h, w), smoothed."""
         log_image = remove_stripes(torch.log(gray + 8), self._mask)
         size = (self.working_camera.height, self.working_camera.width)
-        small = resize(log_image[None, None], size, antialias=True)[0, 0]
-        return self._first_blur(small)
+        rows, columns = (_shrinking(*sides) for sides in zip(log_image.shape, size, strict=True))
+        return self._first_blur(rows @ log_image @ columns.T)
 
     def _edge_points(self, relief: Tensor, valid: Tensor) -> tuple[EdgePoints, NDArray[np.bool_]]:
         """Edge points of a relief (h, w) where it is valid (h, w), and all edges at the picture's size (H, W).
@@ -214,6 +219,12 @@ def blend(photometric: Tensor, learned: Tensor, mask: Tensor, share: float) -> T
     return (1 - share) * photometric + share * contrast / read * learned
 
 
+@lru_cache(maxsize=16)
+def _shrinking(here: int, there: int) -> Tensor:
+    """The matrix (there, here) by which kornia resizes a column of pixels, blurred before where it shrinks."""
+    return resize(torch.eye(here)[None, None], (there, here), antialias=True)[0, 0]
+
+
 def spread_pixels(mask: Tensor) -> Tensor:
     """About 4,096 of the pixels where a mask (H, W) is not 0, evenly spread: their places (N,) in the flat picture."""
     inside = mask.flatten().nonzero().flatten()
@@ -226,7 +237,7 @@ def refuse_blank(values: Tensor) -> None:
     Raises:
         FeatureError: all black, all white, or one gray.
     """
-    low, high = torch.quantile(values, torch.tensor([0.02, 0.98])).tolist()
+    low, high = np.quantile(values.numpy(), (0.02, 0.98))
     if high - low < 4:
         what = "black" if high < 16 else "white" if low > 250 else "one gray"
         raise FeatureError(

@@ -1,8 +1,9 @@
 """Edges of a relief: Canny's thinned gradient, thresholds that follow the picture, hysteresis by components."""
 
+import cv2
 import numpy as np
 import torch
-from kornia.filters import canny, spatial_gradient
+from kornia.filters import canny
 from numpy.typing import NDArray
 from skimage.filters import apply_hysteresis_threshold
 from skimage.measure import label
@@ -20,7 +21,9 @@ def thin_gradient(image: Tensor, sigma_px: float) -> Tensor:
 
 def gradient(image: Tensor) -> Tensor:
     """Sobel gradient (2, H, W), d/dx and d/dy, of an image (H, W)."""
-    return spatial_gradient(image[None, None], mode="sobel")[0, 0]
+    plane = image.numpy()
+    slopes = [cv2.Sobel(plane, -1, *way, scale=1 / 8, borderType=cv2.BORDER_REPLICATE) for way in ((1, 0), (0, 1))]
+    return torch.from_numpy(np.stack(slopes))
 
 
 def link(ridge: Tensor, low: float, high: float, min_length_px: int) -> NDArray[np.bool_]:

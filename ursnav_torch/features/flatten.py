@@ -13,6 +13,8 @@ from torch import Tensor
 STRIPE_STRENGTH = 12.0
 #: Slowest stripes looked for, cycles a row; slower changes are anatomy.
 STRIPE_MIN_FREQUENCY = 0.08
+#: Values of the transform that finds them, and rows over which slower changes are told.
+_TRANSFORMED, _SMOOTH_ROWS = 2048, 3.0
 #: Slopes are held back a little where surroundings are too thin to tell them.
 _FLAT = 1e-3
 
@@ -65,23 +67,27 @@ def remove_stripes(x: Tensor, mask: Tensor, most: int = 3) -> Tensor:
     Each stripe pattern is one sinusoid over the rows, fitted and subtracted; a zeroed band of the spectrum would
     take structure of the wall with it. A picture without a line of `STRIPE_STRENGTH` is returned as it is.
     """
+    count, frequency = mask.sum(1), _frequencies()
+    band, root = frequency > STRIPE_MIN_FREQUENCY, count.sqrt()
     for _ in range(most):
-        count = mask.sum(1)
-        rows = (x * mask).sum(1) / count.clamp_min(1)
-        kernel = torch.exp(-0.5 * (torch.arange(-9.0, 10.0) / 3) ** 2)
-        high = rows - _smooth(rows, count, kernel)
-        line = torch.fft.rfft(high * count.sqrt(), n=2048).abs()
-        frequency = torch.arange(len(line)) / 2048
-        band = frequency > STRIPE_MIN_FREQUENCY
+        rows = torch.linalg.vecdot(x, mask) / count.clamp_min(1)
+        high = rows - _smooth(rows[:, None], count)[:, 0]
+        line = torch.fft.rfft(high * root, n=_TRANSFORMED).abs()
         peak = int(torch.where(band, line, 0).argmax())
         if line[peak] < STRIPE_STRENGTH * line[band].median():
             break
         phase = 2 * torch.pi * frequency[peak] * torch.arange(len(rows))
         basis = torch.stack([phase.cos(), phase.sin()], 1)
-        seen = torch.stack([b - _smooth(b, count, kernel) for b in basis.T], 1) * count.sqrt()[:, None]
-        amplitude = _least_squares(seen, high * count.sqrt())
+        seen = (basis - _smooth(basis, count)) * root[:, None]
+        amplitude = _least_squares(seen, high * root)
         x = x - (basis * amplitude).sum(1)[:, None]
     return x
+
+
+@lru_cache(maxsize=1)
+def _frequencies() -> Tensor:
+    """Of a transform's lines, cycles a row."""
+    return torch.arange(_TRANSFORMED // 2 + 1) / _TRANSFORMED
 
 
 class LocalPlane:
@@ -157,8 +163,7 @@ def local_contrast(variance: Tensor, mask: Tensor) -> float:
     return float(variance[mask > 0].median().clamp_min(1e-12).log10()) / 2
 
 
-def _smooth(rows: Tensor, weight: Tensor, kernel: Tensor) -> Tensor:
-    """Weighted moving mean of (H,) with an odd kernel."""
-    both = torch.stack([rows * weight, weight])[:, None]
-    total = torch.nn.functional.conv1d(both, kernel[None, None], padding=len(kernel) // 2)[:, 0]
-    return total[0] / total[1].clamp_min(1e-6)
+def _smooth(rows: Tensor, weight: Tensor) -> Tensor:
+    """Weighted moving means (H, C) of rows (H, C)."""
+    band, weight = _band(len(rows), _SMOOTH_ROWS, rows.dtype), weight[:, None]
+    return (band @ (rows * weight)) / (band @ weight).clamp_min(1e-6)

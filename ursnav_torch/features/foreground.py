@@ -51,6 +51,8 @@ def find_bodies(probability: Tensor, mask: Tensor, scale: float, sure: float = S
     kinds = p.argmax(0)
     found = []
     for row, kind in enumerate(KINDS):
+        if p[row].max() < sure:  # no region can be that sure
+            continue
         for region in regionprops(label((p[row] > _EDGE) & (kinds == row), connectivity=2)):
             inside = np.zeros(p.shape[1:], bool)
             inside[tuple(region.coords.T)] = True

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -69,8 +70,9 @@ def signal(image: NDArray[np.uint8]) -> Tensor:
     Channels count by the square of their mean, which is their share of shot-noise-limited signal: a gray scene is
     averaged over all three; in a red one (blood takes green and blue away) red prevails, where vessels show least.
     """
-    x = torch.from_numpy(np.ascontiguousarray(image)).float()
-    if x.ndim == 2:
-        return x
-    weight = x.mean((0, 1)).square() + 1e-6
-    return x @ (weight / weight.sum())
+    if image.ndim == 2:
+        return torch.from_numpy(np.ascontiguousarray(image)).float()
+    weight = np.square(cv2.mean(image)[:3]) + 1e-6
+    blue, green, red = (torch.from_numpy(channel).float() for channel in cv2.split(image))
+    b, g, r = (float(share) for share in weight / weight.sum())
+    return blue.mul_(b).add_(green, alpha=g).add_(red, alpha=r)

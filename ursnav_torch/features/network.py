@@ -81,6 +81,13 @@ class WallNetwork(nn.Module):
 
     def forward(self, picture_bgr: Tensor, rays: Tensor) -> WallReading:
         """Read pictures (N, 3, H, W), 0 to 255, with unit rays' x and y and the lens's mask (N, 3, H, W)."""
+        last, odds = self.channels(picture_bgr, rays)
+        y, cells = self.head(last), CELL * CELL
+        relief = functional.pixel_shuffle(y[:, :cells], CELL)[:, 0]
+        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], odds)
+
+    def channels(self, picture_bgr: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+        """The last channels (N, C, h, w), from which the wall is read, and `WallReading.odds`; arguments as above."""
         log_image = (torch.log(picture_bgr + 8) - _MEAN_LOG) * rays[:, 2:]
         x = torch.cat([log_image, rays], 1).contiguous(memory_format=torch.channels_last)
         fine = self.down1(x)
@@ -88,18 +95,18 @@ class WallNetwork(nn.Module):
         coarse = self.down3(middle)
         coarse = coarse + functional.silu(self.whole(coarse.mean((2, 3))))[..., None, None]
         last = self.up1(_beside(self.up2(_beside(coarse, middle)), fine))
-        y, cells = self.head(last), CELL * CELL
-        relief = functional.pixel_shuffle(y[:, :cells], CELL)[:, 0]
-        odds = self.before(torch.cat([last, fine, _cells(hues(log_image, rays[:, 2]))], 1))
-        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], odds)
+        return last, self.before(torch.cat([last, fine, _cells(hues(log_image, rays[:, 2]))], 1))
 
 
 def read_wall(picture_bgr: Tensor, rays: Tensor, network: WallNetwork | None = None) -> WallReading:
     """What the network, the package's own by default, says of pictures (N, 3, H, W) of any size, see `WallNetwork`."""
-    height, width = picture_bgr.shape[-2:]
-    pad = (0, -width % MULTIPLE, 0, -height % MULTIPLE)
-    picture_bgr, rays = (functional.pad(x, pad) for x in (picture_bgr, rays))  # as it is outside the lens
-    return (network or packaged_network())(picture_bgr, rays)
+    return (network or packaged_network())(_whole_cells(picture_bgr), _whole_cells(rays))
+
+
+def _whole_cells(x: Tensor) -> Tensor:
+    """Pictures (N, C, H, W) with as much around them, as it is outside the lens, as the network needs."""
+    height, width = x.shape[-2:]
+    return functional.pad(x, (0, -width % MULTIPLE, 0, -height % MULTIPLE))
 
 
 class WallReader:
@@ -120,18 +127,37 @@ class WallReader:
     def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
         """`Features.read` (5, h, w) of a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or an
         instrument before the wall; clutter is small, and the relief knows of it."""
-        small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
-        color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
-        picture = torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
-        found = read_wall(picture, self._rays[None])
+        found = read_wall(self._small(image), self._rays[None])
         odds = found.odds.sigmoid()
         of_cells = torch.stack([found.log_variance, found.log_depth, found.depth_log_variance, 1 - odds.amax(1)], 1)
-        cells = functional.interpolate(
-            torch.cat([of_cells, found.odds[:, :2]], 1), scale_factor=CELL, mode="bilinear", align_corners=False
-        )
+        cells = self._pixels(torch.cat([of_cells, found.odds[:, :2]], 1)[0])
         width, height = self._size
-        cells, relief = cells[0, :, :height, :width], found.relief[:, :height, :width] * self._mask
+        relief = found.relief[:, :height, :width] * self._mask
         return torch.cat([relief, cells[:4]]), cells[4:].sigmoid()
+
+    def before(self, image: NDArray[np.uint8]) -> Tensor:
+        """The probabilities (2, h, w) alone that `read` gives."""
+        _, odds = packaged_network().channels(_whole_cells(self._small(image)), _whole_cells(self._rays[None]))
+        return self._pixels(odds[0, :2]).sigmoid()
+
+    def _small(self, image: NDArray[np.uint8]) -> Tensor:
+        """A picture (1, 3, h, w) at the working size."""
+        small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+        color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
+        return torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
+
+    def _pixels(self, cells: Tensor) -> Tensor:
+        """Channels (C, H / 4, W / 4) of cells at the working size (C, h, w), between cells interpolated."""
+        width, height = self._size
+        rows, columns = (_growing(n) for n in cells.shape[-2:])
+        return rows[:height] @ cells @ columns[:width].T
+
+
+@lru_cache(maxsize=8)
+def _growing(cells: int) -> Tensor:
+    """The matrix (`CELL` n, n) that interpolates between a column of cells, as torch does."""
+    each = torch.eye(cells)[None, None]
+    return functional.interpolate(each, (CELL * cells, cells), mode="bilinear", align_corners=False)[0, 0]
 
 
 def lens_rays(camera: Camera) -> Tensor:
@@ -214,8 +240,8 @@ def _cells(x: Tensor) -> Tensor:
     """The pixels (N, C, H, W) of every cell as channels; torch's own way does not take no pictures."""
     n, channels, height, width = x.shape
     shape = (height // CELL, width // CELL)
-    apart = x.reshape(n, channels, shape[0], CELL, shape[1], CELL).permute(0, 1, 3, 5, 2, 4)
-    return apart.reshape(n, channels * CELL * CELL, *shape)
+    apart = x.reshape(n, channels, shape[0], CELL, shape[1], CELL).permute(0, 2, 4, 1, 3, 5)
+    return apart.reshape(n, *shape, channels * CELL * CELL).permute(0, 3, 1, 2)  # channels last in memory
 
 
 def _beside(coarse: Tensor, fine: Tensor) -> Tensor:

@@ -113,11 +113,14 @@ def _relief(relief: Tensor, weight: Tensor, counts: Tensor) -> Tensor:
 
 
 def _directions(gradient: Tensor, polar: PolarGrid, counts: Tensor, softness: float = 0.9) -> Tensor:
-    z = torch.complex(gradient[:, 0], gradient[:, 1]) * polar.outward.conj()
-    strength = z.abs()
-    half = softness * strength[0].median() + 1e-9
-    doubled = z * z / (strength * strength + half * half) * polar.weight.sqrt()
-    return _unit_length(torch.stack([doubled.real, doubled.imag], 1) * counts)
+    across, along = torch.view_as_real(polar.outward).unbind(-1)
+    x, y = gradient[:, 0], gradient[:, 1]
+    out, around = x * across + y * along, y * across - x * along
+    square_out, square_around = out.square(), around.square()
+    strength = square_out + square_around
+    half = softness * strength[0].median().sqrt() + 1e-9
+    share = polar.weight.sqrt() / (strength + half * half)
+    return _unit_length(torch.stack([square_out - square_around, 2 * out * around], 1) * share[:, None] * counts)
 
 
 def _unit_length(field: Tensor) -> Tensor:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ursnav_torch.matching import Assignment
 
@@ -58,5 +57,9 @@ def view_from_query(roll: Array, R_query_tilted: Array) -> Array:
         roll: (K,) radians about the optical axis, x towards y: ``T_kidney_tilted = T_kidney_view @ Rz(roll)``.
         R_query_tilted: (K, 3, 3) or (3, 3), how the tilted camera is turned against the picture's own.
     """
-    about_axis = np.asarray(roll, float)[:, None] * [0.0, 0.0, 1.0]
-    return np.asarray(Rotation.from_rotvec(about_axis).as_matrix() @ np.swapaxes(R_query_tilted, -1, -2))
+    about_axis = np.zeros((len(roll), 3, 3))
+    about_axis[:, 0, 0] = about_axis[:, 1, 1] = np.cos(roll)
+    about_axis[:, 1, 0] = np.sin(roll)
+    about_axis[:, 0, 1] = -about_axis[:, 1, 0]
+    about_axis[:, 2, 2] = 1.0
+    return about_axis @ np.swapaxes(R_query_tilted, -1, -2)

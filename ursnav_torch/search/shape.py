@@ -48,8 +48,9 @@ def turn_edges(edges: EdgePoints, camera: Camera, R: NDArray[np.float64]) -> tup
     pixels = edges.points.numpy().astype(float)
     along = np.stack([np.cos(edges.direction.numpy()), np.sin(edges.direction.numpy())], axis=1)
     here, ahead = camera.rays(pixels)[0], camera.rays(pixels + 0.5 * along)[0]
-    there, _ = camera.project(np.einsum("kij,nj->kni", R, here))
-    beyond, _ = camera.project(np.einsum("kij,nj->kni", R, ahead))
+    turned = np.swapaxes(R, 1, 2)
+    there, _ = camera.project(here @ turned)
+    beyond, _ = camera.project(ahead @ turned)
     step = beyond - there
     direction = np.remainder(np.arctan2(step[..., 1], step[..., 0]), np.pi)
     return torch.from_numpy(there).float(), torch.from_numpy(direction).float()

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
@@ -110,18 +111,41 @@ def transition(before: Hypotheses, T: Array, to_tips_mm: Array, seconds: float, 
         seconds: since.
         motion: limits, lengths in mm of this kidney (see `scaled`).
     """
-    way = cdist(T[:, :3, 3], before.T_kidney_camera[:, :3, 3])
-    np.maximum(way, cdist(to_tips_mm, before.to_tips_mm, "chebyshev"), out=way)
-    trace = T[:, :3, :3].reshape(len(T), 9) @ before.T_kidney_camera[:, :3, :3].reshape(-1, 9).T
-    turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    jump = 1 - (1 - motion.jump) ** max(seconds, 1e-3)
     reach = np.hypot(motion.spacing_mm, motion.speed_mm_s * seconds)
     spread = np.radians(np.hypot(motion.spacing_deg, motion.turn_deg_s * seconds))
-    step, twist = (np.exp(1 - np.sqrt(1 + x**2)) for x in (way / reach, turn / spread))
-    near = (step * (twist + _ANY_TURN)) @ before.weight
-    jump = 1 - (1 - motion.jump) ** max(seconds, 1e-3)
+    near = np.empty(len(T))
+    for first in range(0, len(T), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        near[some] = _near(before, T[some], to_tips_mm[some], reach, spread)
     return np.log((1 - jump) * near + jump * _JUMP_DENSITY)
 
 
+def _near(before: Hypotheses, T: Array, to_tips_mm: Array, reach: float, spread: float) -> Array:
+    """How well some poses (N, 4, 4) follow from all those before (N,), jumps apart."""
+    way = cdist(T[:, :3, 3], before.T_kidney_camera[:, :3, 3])
+    np.maximum(way, cdist(to_tips_mm, before.to_tips_mm, "chebyshev"), out=way)
+    turned = (torch.from_numpy(x[:, :3, :3].reshape(len(x), 9)) for x in (T, before.T_kidney_camera))
+    trace = next(turned) @ next(turned).T  # NumPy's product would wake a second thread for each
+    turn = np.arccos(np.clip((trace.numpy() - 1) / 2, -1, 1).astype(np.float32))
+    near = _tail(turn, spread)
+    near += np.float32(_ANY_TURN)
+    near *= _tail(way.astype(np.float32), reach)
+    return np.asarray(near @ before.weight.astype(np.float32), float)
+
+
+def _tail(x: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """``exp(1 - sqrt(1 + (x / scale)^2))``, in place."""
+    x /= np.float32(scale)
+    np.square(x, out=x)
+    x += 1
+    np.sqrt(x, out=x)
+    np.subtract(1, x, out=x)
+    return np.exp(x, out=x)
+
+
+#: Poses weighed at a time, so that what is made on the way stays in the second-level cache.
+_AT_ONCE = 256
 #: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
 _JUMP_DENSITY = 1e-5
 #: Heavy tail of the turn: what any turn is worth beside none, for a tip that is let go whirls round in one picture.
