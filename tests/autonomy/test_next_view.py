@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.next_view import ViewPlanner
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.kinematics import Segment
+from ursnav_torch.stones import GONE, THERE, FoundStone
 
 CALYX = 2
 
@@ -15,7 +17,7 @@ CALYX = 2
 @pytest.fixture
 def planner(phantom, phantom_lumen, lens, vid):
     coverage = Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2])
-    return ViewPlanner(coverage, phantom_lumen, Segment(), 0.8, np.radians(120))
+    return ViewPlanner(coverage, FreeSpace(phantom_lumen), Segment(), 0.8, np.radians(120))
 
 
 @pytest.fixture
@@ -46,3 +48,12 @@ def test_what_adds_less_than_asked_for_is_no_view(planner, before):
 def test_of_a_place_that_may_be_off_less_is_promised(planner, before):
     sure, unsure = best(planner, before), best(planner, replace(before, position_sd_mm=1.0))
     assert unsure is None or unsure.worth < sure.worth
+
+
+@pytest.mark.parametrize(("state", "stops"), [(THERE, True), (GONE, False)])
+def test_no_view_goes_on_into_a_stone_that_is_there(planner, at_root, state, stops):
+    T, bend, size = at_root.T_kidney_camera, at_root.bend_rad, 3.0
+    center = T[:3, 3] + (1.0 + size / 2) * T[:3, 2]
+    planner.space.stones = (FoundStone(1, CALYX, center, 0.01 * np.eye(3), size, 0.2, 9, 0.99, state, 0),)
+    assert (planner._pose(T, bend, bend, 1.5) is None) is stops
+    assert planner._pose(T, bend, bend, -1.5) is not None

@@ -1,6 +1,7 @@
 """From a pose and a way to rates."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -120,3 +121,66 @@ def test_looking_about_bends_round_and_never_inserts(steering):
 def test_settings_that_make_no_sense_are_refused(changes, says):
     with pytest.raises(InputError, match=says):
         AutonomySettings(**changes)
+
+
+def test_a_little_aside_it_does_not_tremble_after_places_that_are_not_sharp(phantom, steering):
+    way = Way(phantom, 5)
+    T = on_the_way(way, 3.0)
+    goal = T[:3, 3] + 5.0 * T[:3, 2]
+    assert not steering.turn(SEEN, T, goal + 0.3 * T[:3, 0]).any()
+    small, large = (np.linalg.norm(steering.turn(SEEN, T, goal + aside * T[:3, 0])) for aside in (1.0, 3.0))
+    assert 0 < small < large
+
+
+def test_in_a_neck_it_steers_for_what_lies_straight_ahead_and_elsewhere_cuts_corners(phantom, phantom_lumen, steering):
+    way = Way(phantom, CALYX)
+    bend = max(np.arange(4.0, way.length_mm - 6.0, 0.5), key=lambda mm: corner(way, mm))
+    T = on_the_way(way, bend - 2.5)
+    far, narrow = way.point_at(way.place_mm(T[:3, 3]) + steering.settings.ahead_mm), Way(phantom, CALYX)
+    narrow.radius_mm = np.full_like(way.radius_mm, 1.2)
+    walls = Walls(phantom_lumen, (T[:3, 3] + far) / 2)
+    tight = replace(steering, lumen=walls)
+    way.radius_mm = np.full_like(way.radius_mm, 5.0)
+    np.testing.assert_allclose(tight.goal(T, way), far)
+    nearer = tight.goal(T, narrow)
+    assert np.linalg.norm(nearer - T[:3, 3]) < 0.8 * np.linalg.norm(far - T[:3, 3])
+
+
+CALYX = 5
+
+
+def corner(way, mm):
+    """How sharply a way bends there."""
+    one, other = way.point_at(mm) - way.point_at(mm - 2.5), way.point_at(mm + 2.5) - way.point_at(mm)
+    return -one @ other
+
+
+class Walls:
+    """A lumen that is free but for a ball of 1 mm around one place."""
+
+    def __init__(self, lumen, at_mm):
+        self.scale, self._at = lumen.scale, at_mm
+
+    def clearance_mm(self, points_mm):
+        """Distance to the ball."""
+        return np.linalg.norm(np.asarray(points_mm).reshape(-1, 3) - self._at, axis=1) - 1.0
+
+
+def test_it_turns_into_a_way_that_it_sees_and_not_from_deep_in_another_calyx(phantom, steering):
+    ways = [Way(phantom, calyx) for calyx in range(6)]
+    turns = 0
+    for one, other in pairwise(ways):
+        shared = one.shared_mm(other)
+        places = [on_the_way(one, mm) for mm in np.arange(max(shared - 3.0, 0.0), one.length_mm - 3.0)]
+        can = [steering.can_turn_into(SEEN, T, other) for T in places]
+        turns += any(can)
+        assert not can[-1], "deep in another calyx"
+    assert turns >= 3
+
+
+def test_it_does_not_turn_where_its_tip_would_have_to_bend_too_far(phantom, steering):
+    way = Way(phantom, CALYX)
+    T = on_the_way(way, 3.0)
+    T[:3, :3] = T[:3, :3] @ np.diag([1.0, -1.0, -1.0])  # it looks back
+    wide = replace(steering, lumen=Walls(steering.lumen, [99.0, 99.0, 99.0]))
+    assert not wide.can_turn_into(replace(SEEN, bend_rad=np.array([1.5, 0.0])), T, way)

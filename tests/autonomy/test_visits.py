@@ -129,7 +129,8 @@ def test_resistance_counts_from_where_the_sliders_play_ends_as_it_was_learned(ex
         seen = later(seen, 0.02, insertion_mm=seen.insertion_mm + 0.05)
         explorer.step(seen, HELD)
     assert explorer.machine.state is State.BACKING_OFF and explorer.machine.reason.startswith("meets resistance")
-    assert seen.insertion_mm - first == pytest.approx(expected + explorer.settings.resistance_mm, abs=0.06)
+    # 0.15 mm more, as pictures are smoothed
+    assert seen.insertion_mm - first == pytest.approx(expected + explorer.settings.resistance_mm + 0.15, abs=0.06)
 
 
 @pytest.mark.parametrize("state", [State.APPROACHING, State.INSPECTING])

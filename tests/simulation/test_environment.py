@@ -5,6 +5,7 @@ import pytest
 
 gymnasium = pytest.importorskip("gymnasium")
 
+from ursnav_torch.geometry import look_along  # noqa: E402
 from ursnav_torch.simulation.environment import ScopeEnv  # noqa: E402
 
 
@@ -48,3 +49,24 @@ def test_an_episode_is_cut_off_after_its_time(env):
     env.reset(seed=1)
     cut = [env.step(np.zeros(3))[3] for _ in range(17)]
     assert cut == [False] * 16 + [True]
+
+
+def test_stones_lie_where_the_seed_puts_them_stop_the_scope_and_are_in_the_pictures(vid):
+    """Two seeds, two places; the middle of a stone is no room for the scope, and a picture from beside it differs."""
+    env, bare = ScopeEnv(vid, seconds=9.0, stones=3), ScopeEnv(vid, seconds=9.0)
+    laid = [env.reset(seed=seed)[1]["stones"] for seed in (1, 2, 1)]
+    assert len(laid[0]) == 3 and np.array_equal(laid[0][0].center_mm, laid[2][0].center_mm)
+    assert not np.array_equal(laid[0][0].center_mm, laid[1][0].center_mm)
+    bare.reset(seed=1)
+    stone = laid[2][0]
+    room = env.twin._clearance(stone.center_mm[None])[0], bare.twin._clearance(stone.center_mm[None])[0]
+    assert room[0] < 0 < room[1]
+    places = vid.lumen.grid.centers_mm
+    away = np.linalg.norm(places - stone.center_mm, axis=1) - stone.radii_mm.max()
+    place = places[np.argmax(vid.lumen.clearance_mm(places) * (away > 1.0) * (away < 3.0))]
+    pictures = [e.twin._render(look_along(place, stone.center_mm - place)) for e in (env, bare)]
+    differs = np.abs(pictures[0].astype(int) - pictures[1]) > 20
+    assert differs.shape == pictures[1].shape and differs.mean() > 0.05
+    assert env.step(np.zeros(3))[4]["stones"] is laid[2]
+    for e in (env, bare):
+        e.close()

@@ -3,12 +3,14 @@
 Pure logic: no device, no thread and no clock of its own; `Explorer.step` is called in every cycle of control.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.neck import Bar, find_neck, find_stone
 from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
 from ursnav_torch.autonomy.perception import Perception, Permission, Wish
@@ -32,6 +34,8 @@ _VIEWS_A_CYCLE = 2
 _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
 #: The shaft is all the way back from here on; weight of a new picture in how far the scope has got.
 _OUT_MM, _NEWS = 0.2, 0.25
+#: Cycles of control whose insertion is kept: longer than a picture's answer takes.
+_KEPT = 100
 #: A tip that makes less of the way that the shaft was pushed meets resistance.
 _FOLLOWS = 0.3
 #: A round of looking about takes so long.
@@ -70,16 +74,18 @@ class Explorer:
         self.settings = s = scaled(settings or AutonomySettings(), self._unit)
         self._limits = limits or ScopeLimits()
         segment = segment or Segment()
-        self._steering = Steering(lumen, segment, s)
-        self._planner = ViewPlanner(coverage, lumen, segment, s.clearance_mm, np.radians(self._limits.largest_bend_deg))
+        self._steering, self._space = Steering(lumen, segment, s), FreeSpace(lumen)
+        most_bent = np.radians(self._limits.largest_bend_deg)
+        self._planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent)
         self.machine, self.target = StateMachine(), -1
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
-        self._stones: tuple[FoundStone, ...] = ()
         self._find_bars(())
         self._way: Way | None = None  # along which the scope came
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
+        self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._inserted = 0.0  # when the newest pictures were taken
         self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
         self._doubts = self._hits = 0
         self._inspected_from_s: float | None = None
@@ -111,7 +117,8 @@ class Explorer:
 
     def step(self, seen: Perception, may: Permission) -> Wish:
         """One cycle of control: what the joints shall do now. Still in every state that is not one of `MOVING`."""
-        if seen.stones != self._stones:
+        self._insertions.append((seen.t_s, seen.insertion_mm))
+        if seen.stones != self._space.stones:
             self._find_bars(seen.stones)
         self._permit(seen, may)
         state = self.machine.state
@@ -127,7 +134,7 @@ class Explorer:
 
     def _find_bars(self, stones: tuple[FoundStone, ...]) -> None:
         """Find what bars the ways, necks and stones, and where the tour ends before it."""
-        self._stones, limits = stones, scaled(self._limits, self._unit)
+        self._space.stones, limits = stones, scaled(self._limits, self._unit)
         self._bars: list[Bar | None] = []
         for way in self._ways:
             met = (find_neck(way, limits, self._unit), find_stone(way, stones, limits, self._unit))
@@ -241,11 +248,12 @@ class Explorer:
         return float(area[self.coverage.in_view(bar.T_kidney_camera)].sum()) / max(float(area.sum()), 1e-9)
 
     def _retreat(self, seen: Perception, T: Array) -> Wish:
-        """Back along the way that the scope came, until the way to the target lies ahead."""
+        """Back along the way that the scope came, until it can turn into the way to the target."""
         to = self._ways[self.target]
         way = self._way or to
         at, shared = way.place_mm(T[:3, 3]), to.shared_mm(way)
-        if at <= max(shared - self._room_mm * (way is not to), 0.0) or self._is_out(seen):
+        is_back = at <= max(shared - self._room_mm * (way is not to), 0.0) or self._is_out(seen)
+        if is_back or (way is not to and self._steering.can_turn_into(seen, T, to)):
             self._way = to
             self._begin(seen, T)
             return Wish()
@@ -257,11 +265,11 @@ class Explorer:
 
     def _begin(self, seen: Perception, T: Array) -> None:
         """Begin a way in."""
-        self._place, self._place_s = T[:3, 3], seen.seen_s
+        self._place, self._place_s, self._inserted = T[:3, 3], seen.seen_s, self._inserted_at(seen.seen_s)
         self._best_mm, self._best_s = self._ways[self.target].place_mm(T[:3, 3]), seen.t_s
         self._mark = T[:3, 3]
         slack = self.settings.slack_mm if seen.slack_mm is None else seen.slack_mm
-        self._pushed_from = seen.insertion_mm + slack  # it came by pulling: the slider turns round first
+        self._pushed_from = self._inserted + slack  # it came by pulling: the slider turns round first
         self._to(State.APPROACHING, seen, f"into calyx {self.visits[self.target].calyx}")
 
     def _approach(self, seen: Perception, T: Array) -> Wish:
@@ -280,7 +288,7 @@ class Explorer:
             return Wish()
         if at > self._best_mm + _PROGRESS_MM * self._unit:
             self._best_mm, self._best_s = at, seen.t_s
-        if self._resists(seen, place):
+        if self._resists(place, T[:3, 2]):
             self._back_off(seen, f"meets resistance {way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}")
             return Wish()
         if seen.t_s - self._best_s > s.patience_s:
@@ -289,18 +297,27 @@ class Explorer:
         return self._steering.advance(seen, T, way)
 
     def _smoothed(self, seen: Perception, place_mm: Array) -> Array:
-        """The place (3,) by pictures old and new: one alone is not sharp enough to tell resistance."""
+        """The place (3,) by pictures old and new, as one alone is not sharp enough to tell resistance; and with it the
+        insertion when they were taken."""
         if seen.seen_s != self._place_s:
             self._place_s, self._place = seen.seen_s, self._place + _NEWS * (place_mm - self._place)
+            self._inserted += _NEWS * (self._inserted_at(seen.seen_s) - self._inserted)
         return self._place
 
-    def _resists(self, seen: Perception, place_mm: Array) -> bool:
-        """Whether the shaft was pushed and the tip did not follow."""
-        pushed = seen.insertion_mm - self._pushed_from
+    def _inserted_at(self, t_s: float) -> float:
+        """The insertion at a time, mm."""
+        told_s, insertion = zip(*self._insertions, strict=True)
+        return float(np.interp(t_s, told_s, insertion))
+
+    def _resists(self, place_mm: Array, axis: Array) -> bool:
+        """Whether the shaft was pushed and the tip did not follow along its axis (3,)."""
+        pushed = self._inserted - self._pushed_from
+        if pushed <= 0:  # the slider turns round, and the tip may swing
+            self._mark = place_mm
         if pushed < self.settings.resistance_mm:
             return False
-        followed = float(np.linalg.norm(place_mm - self._mark))
-        self._pushed_from, self._mark = seen.insertion_mm, place_mm
+        followed = float((place_mm - self._mark) @ axis)
+        self._pushed_from, self._mark = self._inserted, place_mm
         return followed < _FOLLOWS * pushed
 
     def _look_around(self, seen: Perception) -> None:
@@ -362,7 +379,9 @@ class Explorer:
     def _weigh(self, seen: Perception, T: Array) -> None:
         """Weigh a few more views; when all were, go to the best or be done with this calyx."""
         if self._weighed is None:
-            self._weighed = self._planner.candidates(seen, T, self.target, self.settings.least_gain)
+            missing = self.settings.done_share - self._share(self.target)
+            least = min(self.settings.least_gain, 0.5 * missing)  # near the end, two small steps are worth it, too
+            self._weighed = self._planner.candidates(seen, T, self.target, least)
             self._best = None
         for _ in range(_VIEWS_A_CYCLE):
             try:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.perception import Perception
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.geometry import inverse
-from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.kinematics import Segment
 
 Array = NDArray[np.float64]
@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 #: Bends away from the present one that are tried, in these directions, and advances along the curve, mm at scale 1.
 _BENDS_RAD, _DIRECTIONS = np.radians([20.0, 45.0, 70.0]), 6
 _ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
-#: A view costs the tip's way to it, and as much as this of way for the time that it takes, mm at scale 1.
-_TIME_MM = 8.0
+#: A view costs the tip's way to it, and as much as this of way for the time that it takes, mm at scale 1. Of 3, 8, 20
+#: chosen by ``python -m benchmarks.exploring half=choosing pose=true phantoms=20 tissue=breathing,buckling,bleeding``.
+_TIME_MM = 20.0
 #: Where a bend is cut off by a wall is looked for in so many steps.
 _SHARES = np.linspace(0.0, 1.0, 17)
 
@@ -49,14 +50,14 @@ class ViewPlanner:
 
     Attributes:
         coverage: what was seen so far.
-        lumen: the walls.
+        space: what is free of walls and stones.
         segment: the scope's bending tip.
         kept_mm: how near the tip may come to the wall, mm of this kidney.
         largest_bend_rad: of the tip.
     """
 
     coverage: Coverage
-    lumen: LumenDistance
+    space: FreeSpace
     segment: Segment
     kept_mm: float
     largest_bend_rad: float
@@ -75,20 +76,21 @@ class ViewPlanner:
         """
         own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
         area = self.coverage.patches.area_mm2
-        area = np.where(own & ~self.coverage.seen(), area, 0.0) / max(float(area[own].sum()), 1e-9)
+        unseen = own & ~self.coverage.seen()
+        area = area / max(float(area[own].sum()), 1e-9)
         off_mm = seen.position_sd_mm or 0.0
         best: ViewPlan | None = None
-        for advance in (self.lumen.scale * mm for mm in _ADVANCES_MM):
+        for advance in (self.space.scale * mm for mm in _ADVANCES_MM):
             if seen.insertion_mm + advance < 0:
                 continue
             for bend in self._bends(seen.bend_rad):
                 found = self._pose(T, seen.bend_rad, bend, advance)
                 if found is not None:
-                    cost = _TIME_MM * self.lumen.scale + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
+                    cost = _TIME_MM * self.space.scale + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
                     least = max(least_gain, 0.0 if best is None else best.worth * cost)
-                    gain = float(area[self.coverage.in_view(found)].sum())
+                    gain = float(area[self.coverage.in_view(found, unseen)].sum())
                     if gain > least and off_mm > 0:  # what is surely in view is asked only where it may matter
-                        gain = float(area[self.coverage.surely_in_view(found, off_mm)].sum())
+                        gain = float(area[self.coverage.surely_in_view(found, off_mm, unseen)].sum())
                     if gain > least:
                         best = ViewPlan(bend, seen.insertion_mm + advance, gain, gain / cost)
                     yield best
@@ -107,10 +109,10 @@ class ViewPlanner:
         straight = inverse(self.segment.point_transform(bend_now))
         base = T @ straight @ self.segment.point_transform(bend_now, self.segment.length_mm + advance_mm)
         ahead = T[:3, 3] + _SHARES[:, None] * (base[:3, 3] - T[:3, 3])
-        if advance_mm > 0 and self.lumen.clearance_mm(ahead).min() < self.kept_mm:
+        if advance_mm > 0 and self.space.clearance_mm(ahead).min() < self.kept_mm:
             return None
         found = base @ straight @ self.segment.point_transform(bend)
         swing = base[:3, 3] + _SHARES[:, None] * (found[:3, 3] - base[:3, 3])
-        free = self.lumen.clearance_mm(swing) >= self.kept_mm
+        free = self.space.clearance_mm(swing) >= self.kept_mm
         found[:3, 3] = swing[max(int(free.argmin()) - 1, 0) if not free.all() else -1]
         return found

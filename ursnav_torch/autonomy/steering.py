@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ursnav_torch.autonomy.perception import Perception, Wish
 from ursnav_torch.autonomy.settings import AutonomySettings
 from ursnav_torch.exploration.route import along
+from ursnav_torch.geometry import inverse
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.kinematics import Segment, turn_towards
 
@@ -21,6 +22,16 @@ _NECK_SHARE = 0.6
 _NECK_TOUCH = 1.5
 #: A wall whose normal is within 45 degrees of the axis faces the scope; along another it goes on at this part of speed.
 _FACING, _CREEP = 0.7, 0.25
+#: An axis within this angle of where it shall look is left, as a tip trembles that follows places that are not sharp.
+_LEEWAY_RAD = 0.08
+#: Where the lumen is narrower than this many times the clearance asked for, a straight line to the goal must be free.
+_NARROW = 2.0
+#: Parts of the look-ahead that are tried, farthest first, for a straight line that no wall is in the way of.
+_AHEADS = (1.0, 0.75, 0.5, 0.3)
+#: Steps of a bend to a goal, none larger than this.
+_TURNS, _LARGEST_TURN_RAD = 8, 0.5
+#: Where a straight line is asked for walls.
+_SHARES = np.linspace(0.0, 1.0, 13)
 #: How far the tip bends as it looks about: 25 degrees.
 _SWEEP_RAD = 0.44
 #: How far along the optical axis clearance is looked up, mm at scale 1.
@@ -88,10 +99,10 @@ class Steering:
     def advance(self, seen: Perception, T: Array, way: Way) -> Wish:
         """From a pose (4, 4) turn towards the way ahead, and go on while it lies ahead and the wall is not near."""
         at = way.place_mm(T[:3, 3])
-        goal = way.point_at(min(at + self.settings.ahead_mm, way.length_mm))
+        goal = self.goal(T, way)
         cosine = self._cosine(T, goal)
         speed = self.settings.advance_mm_s * max(0.0, (cosine - _ASKEW) / (1 - _ASKEW))
-        kept = min(self.settings.clearance_mm, _NECK_SHARE * way.radius_at(at + _LOOK_MM * self.lumen.scale))
+        kept = self._kept_mm(way, at + _LOOK_MM * self.lumen.scale)
         return Wish(self.turn(seen, T, goal), speed * self.sureness(seen) * self.freedom(T, kept))
 
     def retreat(self, seen: Perception, T: Array, way: Way) -> Wish:
@@ -108,9 +119,46 @@ class Steering:
         goal = _SWEEP_RAD * np.array([np.cos(phase_rad), np.sin(phase_rad)])
         return Wish(np.clip(goal - np.asarray(seen.bend_rad), -_SWEEP_RAD, _SWEEP_RAD))
 
+    def goal(self, T: Array, way: Way) -> Array:
+        """(3,) the point of a way to steer for from a pose (4, 4); in a neck, nearer until a straight line is free."""
+        place, at, ahead = T[:3, 3], way.place_mm(T[:3, 3]), self.settings.ahead_mm
+        if way.radius_at(at) > _NARROW * self.settings.clearance_mm:
+            return way.point_at(at + ahead)
+        goals = np.stack([way.point_at(at + ahead * part) for part in _AHEADS])
+        room = self._room_mm(place + _SHARES[:, None, None] * (goals - place)).min(axis=0)
+        needed = np.array([self._kept_mm(way, at + ahead * part) for part in _AHEADS])
+        free = room >= np.minimum(needed, float(self.lumen.clearance_mm(place[None])[0]))
+        return np.asarray(goals[int(free.argmax()) if free.any() else -1])
+
+    def can_turn_into(self, seen: Perception, T: Array, way: Way) -> bool:
+        """Whether from a pose (4, 4) the tip can bend towards a way, and then nothing stands before it."""
+        goal = self.goal(T, way)
+        bend = np.asarray(seen.bend_rad, float)
+        base, turned = T @ inverse(self.segment.point_transform(bend)), T
+        for _ in range(_TURNS):
+            turn = turn_towards((goal - turned[:3, 3]) @ turned[:3, :3])
+            change = self.segment.bend_for_turn(bend, turn)
+            bend = bend + change * min(1.0, _LARGEST_TURN_RAD / max(float(np.hypot(*change)), 1e-9))
+            turned = base @ self.segment.point_transform(bend)
+        place, there = T[:3, 3], turned[:3, 3]
+        passed = (goal - place) @ (goal - there) < 0
+        if passed or np.hypot(*bend) > self.segment.max_bend_rad or self._cosine(turned, goal) < _ASKEW:
+            return False
+        lines = np.concatenate([place + _SHARES[:, None] * (there - place), there + _SHARES[:, None] * (goal - there)])
+        return bool(self._room_mm(lines).min() >= self._kept_mm(way, way.place_mm(goal)))
+
+    def _kept_mm(self, way: Way, at_mm: float) -> float:
+        """How far the wall is kept off at a place of a way."""
+        return min(self.settings.clearance_mm, _NECK_SHARE * way.radius_at(at_mm))
+
+    def _room_mm(self, points_mm: Array) -> Array:
+        """Distances (...) to the wall of points (..., 3)."""
+        return self.lumen.clearance_mm(points_mm.reshape(-1, 3)).reshape(points_mm.shape[:-1])
+
     def turn(self, seen: Perception, T: Array, goal_mm: Array) -> Array:
         """Bend rates (2,) that bring the optical axis of a pose (4, 4) towards a point (3,)."""
         turn = turn_towards((goal_mm - T[:3, 3]) @ T[:3, :3])
+        turn = turn * max(0.0, 1 - _LEEWAY_RAD / max(float(np.hypot(*turn)), 1e-9))
         return self.settings.turn_per_s * self.segment.bend_for_turn(seen.bend_rad, turn)
 
     def sureness(self, seen: Perception) -> float:

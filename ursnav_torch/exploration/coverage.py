@@ -153,7 +153,7 @@ class Coverage:
             position_sd_mm: how far off the place may be, two of three times; wall counts that is in view all the same.
                 None where the place is known exactly.
         """
-        seen = self.surely_in_view(T_kidney_camera, position_sd_mm or 0.0)
+        seen = self.surely_in_view(T_kidney_camera, position_sd_mm or 0.0, ~self.seen())
         if bodies and len(seen):
             before = np.logical_or.reduce([body.mask for body in bodies])
             seen = seen[~self._covered(T_kidney_camera, seen, before)]
@@ -163,18 +163,25 @@ class Coverage:
         """(P,) which patches were in view long enough."""
         return self.seen_s >= self.settings.dwell_s - 1e-9
 
-    def in_view(self, T_kidney_camera: Array) -> IntArray:
-        """Indices of the patches seen from a pose: near enough, not at a slant, in the picture, and not hidden."""
+    def in_view(self, T_kidney_camera: Array, among: NDArray[np.bool_] | None = None) -> IntArray:
+        """Indices of the patches seen from a pose: near enough, not at a slant, in the picture, and not hidden.
+
+        Args:
+            T_kidney_camera: (4, 4).
+            among: (P,) the patches that are asked for, of which fewer cost less; all without it.
+        """
         position = np.asarray(T_kidney_camera, float)[:3, 3]
         near = np.array(self._tree.query_ball_point(position, self.of_kidney.farthest_mm), int)
-        return self._of_these(near, T_kidney_camera)
+        return self._of_these(near if among is None else near[among[near]], T_kidney_camera)
 
-    def surely_in_view(self, T_kidney_camera: Array, position_sd_mm: float) -> IntArray:
-        """Indices of the patches seen from a pose (4, 4), and from as far beside it as it may be off.
+    def surely_in_view(
+        self, T_kidney_camera: Array, position_sd_mm: float, among: NDArray[np.bool_] | None = None
+    ) -> IntArray:
+        """Indices of the patches seen from a pose (4, 4), and from as far beside it as it may be off, see `in_view`.
 
         At the edge of what hides wall, a place off by little shows what the true one does not.
         """
-        seen = self.in_view(T_kidney_camera)
+        seen = self.in_view(T_kidney_camera, among)
         if position_sd_mm <= 0 or not len(seen):
             return seen
         room = float(self._lumen.clearance_mm(T_kidney_camera[None, :3, 3])[0])

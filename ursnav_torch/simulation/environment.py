@@ -7,6 +7,7 @@ seen, reward, done, cut, facts = env.step([0.0, 0.2, 1.0])
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,11 +15,13 @@ from ursnav_torch.devices import JointRates, Limits
 from ursnav_torch.exploration.coverage import INSPECTED, OUT_OF_REACH, REACH_STRIDE, Coverage
 from ursnav_torch.extras import import_extra
 from ursnav_torch.geometry import look_along
-from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering import RaycastRenderer, Renderer
+from ursnav_torch.rendering.sensor import SensorFaults, Stone, simulate_labeled
 from ursnav_torch.simulation.stepped import SimulatedTime, SteppedRobot
+from ursnav_torch.simulation.stones import ObstructedLumen, lay_stones
 from ursnav_torch.simulation.tissue import Tissue, TissueSettings
 from ursnav_torch.simulation.twin import Scope
-from ursnav_torch.simulation.world import World, operated_twin
+from ursnav_torch.simulation.world import World, clean, operated_twin
 from ursnav_torch.vid import Vid
 
 gymnasium = import_extra("gymnasium", "gym", "The twin as an environment")
@@ -39,18 +42,22 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
     An action is three stick deflections, -1 to 1: bend about x, bend about y, insertion. They pass the same limits as
     an operator's. A step is 0.06 s. An observation has ``picture`` (H, W), ``joints`` (3,) as the robot reports them in
     radians and mm, and ``seen`` (C,), the share of each calyx's wall that was seen. The reward is what a step added to
-    ``seen``, less what pushing against a wall costs. The end is that every calyx in reach is inspected.
+    ``seen``, less what pushing against a wall or a stone costs. The end is that every calyx in reach is inspected.
+    What a policy tells of stones is to be judged by the ``stones`` among the facts of `reset` and `step`.
 
     Args:
         vid: kidney, lens, and the views that tell what is within reach.
         seconds: an episode is cut off after so much simulated time.
         tissue: what an operation does to kidney and scope; without it, it only breathes.
+        stones: so many lie on the wall, where the seed puts them, as `StoneSettings` draws them; they stop the scope,
+            and pictures show them.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / (CYCLES * CYCLE_S))}  # noqa: RUF012
 
-    def __init__(self, vid: Vid, seconds: float = 300.0, tissue: TissueSettings | None = None) -> None:
-        self.vid, self._longest_s = vid, seconds
+    def __init__(self, vid: Vid, seconds: float = 300.0, tissue: TissueSettings | None = None, stones: int = 0) -> None:
+        self.vid, self._longest_s, self._count = vid, seconds, stones
+        self._stones: tuple[Stone, ...] = ()
         self._tissue = tissue or TissueSettings(swells=False, bleeds=False, buckles=False)
         self.render_mode = "rgb_array"
         self._renderer = RaycastRenderer(vid.kidney.mesh, vid.camera)
@@ -73,7 +80,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin anew, withdrawn in the pelvis; the seed draws roll, plays and tissue."""
+        """Begin anew, withdrawn in the pelvis; the seed draws roll, plays, tissue and stones."""
         super().reset(seed=seed)
         rng, kidney = self.np_random, self.vid.kidney
         self._clock, self.coverage = SimulatedTime(), self._clean
@@ -81,14 +88,15 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         start = kidney.centerline.points_mm[0]
         plays = (*rng.uniform(0.05, 0.15, 2), rng.uniform(0.2, 1.0))
         T_kidney_start = look_along(start, kidney.tips_mm.mean(axis=0) - start, float(rng.uniform(-np.pi, np.pi)))
-        self.twin = operated_twin(
-            self._world(), T_kidney_start, Scope(backlash=plays), Tissue(self._tissue, rng, kidney.scale)
-        )
+        tissue = Tissue(self._tissue, rng, kidney.scale)
+        self._stones = lay_stones(kidney, self.vid.lumen, self._count, rng)
+        draw = self._with_stones if self._stones else clean
+        self.twin = operated_twin(self._world(), T_kidney_start, Scope(backlash=plays), tissue, draw=draw)
         self.robot = SteppedRobot(self._clock, self.twin.scope.drive)
         self.robot.connect()
         self.robot.arm()
         self.twin.drive_with(self.robot.axes_mm)
-        return self._observed(), {}
+        return self._observed(), {"stones": self._stones}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move for 0.06 s by stick deflections (3,): observation, reward, ended, cut off, facts."""
@@ -106,7 +114,8 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         calyces = self.coverage.calyces()
         done = all(c.verdict in (INSPECTED, OUT_OF_REACH) for c in calyces)
         reward = float(self._shares().sum() - before) - PRESSED_COSTS * pressed
-        facts = {"T_kidney_camera": T, "pressed_mm": pressed, "verdicts": {c.calyx: c.verdict for c in calyces}}
+        verdicts = {c.calyx: c.verdict for c in calyces}
+        facts = {"T_kidney_camera": T, "pressed_mm": pressed, "verdicts": verdicts, "stones": self._stones}
         return self._observed(), reward, done, self.now_s >= self._longest_s, facts
 
     def render(self) -> NDArray[np.uint8]:
@@ -119,9 +128,14 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
 
     def _world(self) -> World:
         camera = self.vid.camera
-        return World(
-            self.vid.kidney, self._renderer, self.vid.lumen, lambda mesh: RaycastRenderer(mesh, camera), self._clock
-        )
+        lumen = ObstructedLumen(self.vid.lumen, self._stones) if self._stones else self.vid.lumen
+        return World(self.vid.kidney, self._renderer, lumen, lambda mesh: RaycastRenderer(mesh, camera), self._clock)
+
+    def _with_stones(self, renderer: Renderer, T: Array) -> NDArray[np.uint8]:
+        """A picture (H, W) that shows the stones."""
+        faults = SensorFaults()
+        seen = simulate_labeled(renderer.render(T), renderer.camera, T, faults, self.np_random, self._stones)
+        return np.asarray(cv2.cvtColor(seen.image, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def _shares(self) -> Array:
         return np.array([c.share for c in self.coverage.calyces()])

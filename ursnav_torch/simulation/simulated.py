@@ -20,7 +20,7 @@ from ursnav_torch.simulation.port import SimulatedPort
 from ursnav_torch.simulation.rosserial_board import RosserialBoard
 from ursnav_torch.simulation.tissue import TissueSettings, draw_tissue
 from ursnav_torch.simulation.twin import Scope, Twin
-from ursnav_torch.simulation.world import Draw, World, operated_twin
+from ursnav_torch.simulation.world import Draw, World, clean, operated_twin
 
 if TYPE_CHECKING:
     from ursnav_torch.rendering.sensor import Stone
@@ -78,7 +78,7 @@ def _with_stones(world: World, count: int, rng: np.random.Generator) -> "tuple[O
 def _faulty(sensor: str | None, seed: int, stones: "tuple[Stone, ...] | None" = None) -> Draw:
     """What spoils the pictures of a preset, with the stones that lie there; clean ones without a preset."""
     if sensor is None:
-        return lambda renderer, T: renderer.render(T).image
+        return clean
     from ursnav_torch.rendering.sensor import severity, simulate_labeled  # brings torch, for which a lab need not wait
 
     rng = np.random.default_rng(seed)

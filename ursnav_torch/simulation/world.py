@@ -44,13 +44,18 @@ class World:
 Draw = Callable[[Renderer, Array], NDArray[np.uint8]]
 
 
+def clean(renderer: Renderer, T: Array) -> NDArray[np.uint8]:
+    """A picture (H, W) without faults."""
+    return renderer.render(T).image
+
+
 def operated_twin(
     world: World,
     T_kidney_start: Array,
     scope: Scope | None,
     tissue: Tissue,
     em: EmField | None = None,
-    draw: Draw = lambda renderer, T: renderer.render(T).image,
+    draw: Draw = clean,
 ) -> Twin:
     """A scope in a kidney that breathes, swells and bleeds by the world's clock, from now on.
 
