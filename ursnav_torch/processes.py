@@ -12,6 +12,7 @@ from multiprocessing import get_all_start_methods, get_context, parent_process
 from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
+import cv2
 import torch
 
 from ursnav_torch.errors import UrsnavError
@@ -84,6 +85,7 @@ def start_worker() -> None:
     """One thread a worker; the first process alone answers Ctrl-C, and no worker outlives it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
+    cv2.setNumThreads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -133,15 +133,23 @@ def _farthest(points: NDArray[np.float64], n: int, weights: NDArray[np.float64])
     """Farthest-point sampling (n,), from the point farthest from the middle on."""
     chosen = np.empty(n, np.int64)
     x, y = np.ascontiguousarray(points.T)
+    squared_weights, left = weights**2, np.full(len(points), np.inf)
+    worth, step, across = (np.empty(len(points)) for _ in range(3))
 
-    def squared_from(x0: float, y0: float) -> NDArray[np.float64]:
-        return (x - x0) ** 2 + (y - y0) ** 2
+    def weigh(x0: float, y0: float) -> None:
+        """How far each point is from a place, squared, times its weight: all in arrays that are there."""
+        np.subtract(x, x0, out=worth)
+        np.multiply(worth, worth, out=worth)
+        np.subtract(y, y0, out=step)
+        np.multiply(step, step, out=step)
+        np.add(worth, step, out=worth)
 
-    distance = squared_from(*points.mean(0))
-    squared_weights, nearest = weights**2, np.full(len(points), np.inf)
+    weigh(*points.mean(0))
+    np.multiply(worth, squared_weights, out=across)
     for i in range(n):
-        chosen[i] = at = np.argmax(distance * squared_weights)
-        np.minimum(nearest, squared_from(x[at], y[at]), out=nearest)
-        nearest[at] = -1.0
-        distance = nearest
+        chosen[i] = at = across.argmax()
+        weigh(x[at], y[at])
+        np.minimum(left, worth, out=left)
+        left[at] = -1.0
+        np.multiply(left, squared_weights, out=across)
     return chosen

@@ -19,6 +19,7 @@ from ursnav_torch.processes import child_context, start_worker
 from ursnav_torch.vid.store import package_version
 
 Result = TypeVar("Result")
+_shared: Any = None  # of a worker's tasks, which is sent to it once
 
 
 class Compute(Protocol):
@@ -45,8 +46,8 @@ class LocalCompute:
                 for task in tasks:
                     yield work(shared, *task)
             return
-        with ProcessPoolExecutor(workers, mp_context=child_context(), initializer=start_worker) as pool:
-            pending = {pool.submit(work, shared, *task) for task in tasks}
+        with ProcessPoolExecutor(workers, child_context(), initializer=_begin, initargs=(shared,)) as pool:
+            pending = {pool.submit(_with_what_is_shared, work, task) for task in tasks}
             try:
                 yield from _as_they_end(pending)
             except BaseException:
@@ -139,6 +140,16 @@ def _client(compute: DaskCompute) -> Iterator[Any]:
         ) from None
     finally:
         client.close()
+
+
+def _begin(shared: Any) -> None:
+    global _shared
+    start_worker()
+    _shared = shared
+
+
+def _with_what_is_shared(work: Callable[..., Result], task: tuple[Any, ...]) -> Result:
+    return work(_shared, *task)
 
 
 def _same(value: Result) -> Result:

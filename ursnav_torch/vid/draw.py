@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,16 @@ from safetensors.torch import load_file, save_file
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import NO_EDGES, NO_MAPS, EdgePoints, Features, Settings, make_extractor, read_image
+from ursnav_torch.features import (
+    NO_EDGES,
+    NO_MAPS,
+    EdgePoints,
+    Extractor,
+    Features,
+    Settings,
+    make_extractor,
+    read_image,
+)
 from ursnav_torch.files import write_image
 from ursnav_torch.geometry import apply
 from ursnav_torch.rendering import Renderer, View
@@ -26,7 +36,7 @@ MakeRenderer = Callable[[trimesh.Trimesh, Camera], Renderer]
 _FIELDS = ("points", "mask", "direction", "weight", "points_kidney", "maps")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Studio:
     """All that is needed to draw views in another process; ``pictures``, where given, stand in for what is drawn."""
 
@@ -38,7 +48,7 @@ class Studio:
 
     def draw(self, T_kidney_camera: Array, first: int, images: Path) -> ViewFeatures:
         """Draw poses (N, 4, 4), write their pictures as views ``first``... into a folder, return their features."""
-        renderer, extractor = self.make_renderer(self.mesh, self.camera), make_extractor(self.settings, self.camera)
+        renderer, extractor = _tools(self)
         rows = []
         for number, T in enumerate(T_kidney_camera):
             view = renderer.render(T)
@@ -50,6 +60,12 @@ class Studio:
                 features = _no_features(image.shape)
             rows.append((features, wall_points(features.edges, view, self.camera, T)))
         return pack(rows, self.settings.points)
+
+
+@lru_cache(maxsize=1)
+def _tools(studio: Studio) -> tuple[Renderer, Extractor]:
+    """What draws and reads a studio's views: made once a process, as shard follows on shard."""
+    return studio.make_renderer(studio.mesh, studio.camera), make_extractor(studio.settings, studio.camera)
 
 
 def wall_points(edges: EdgePoints, view: View, camera: Camera, T_kidney_camera: Array) -> NDArray[np.float32]:
