@@ -7,7 +7,7 @@ from stone_views import stone_watch
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.exploration.target import next_target
-from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.navigation import Guide
 from ursnav_torch.vid import Vid
 
@@ -60,3 +60,17 @@ def test_the_nearest_unseen_comes_before_a_nearer_glimpsed_one(guide: Guide, vid
     see(guide.coverage, far)
     route = next_target(guide.coverage, at)
     assert route is not None and route.calyx == vid.calyx_name(near)
+
+
+def test_the_way_shown_is_to_where_autonomy_heads_and_a_persons_choice_goes_before_it(
+    guide: Guide, phantom: Kidney
+) -> None:
+    T = np.eye(4)
+    T[:3, 3] = phantom.centerline.points_mm[0]
+    names = [c.name for c in phantom.calyces]
+    other = next(i for i, name in enumerate(names) if name != guide.guidance(T).route.calyx)
+    guide.headed = other
+    shown = guide.guidance(T)
+    assert (shown.route.calyx, shown.chosen) == (names[other], "")
+    guide.chosen = (other + 1) % len(names)
+    assert guide.guidance(T).route.calyx == names[guide.chosen]

@@ -128,7 +128,7 @@ def test_stones_that_navigation_tells_of_reach_the_explorer(rig, phantom, phanto
     guide = SimpleNamespace(coverage=Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera), limits=ScopeLimits())
     navigator = SimpleNamespace(
         guide=guide, tracker=SimpleNamespace(lumen=phantom_lumen), vid=vid,
-        bus=SimpleNamespace(latest=lambda: state), say_autonomy=lambda text: None,
+        bus=SimpleNamespace(latest=lambda: state), say_autonomy=lambda text, headed: None,
     )  # fmt: skip
     pilot = make_autopilot(navigator, hands, SimpleNamespace(robot=robot, clock=None), AutonomySettings(), False)
     told = []
@@ -136,3 +136,20 @@ def test_stones_that_navigation_tells_of_reach_the_explorer(rig, phantom, phanto
     pilot.connect()
     pilot.read()
     assert told == [(stone,)]
+
+
+def test_who_looks_is_told_the_calyx_that_it_heads_for(rig, phantom, phantom_lumen, lens, vid):
+    _, robot, hands, _ = rig
+    guide = SimpleNamespace(coverage=Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera), limits=ScopeLimits())
+    told = []
+    navigator = SimpleNamespace(
+        guide=guide, tracker=SimpleNamespace(lumen=phantom_lumen), vid=vid,
+        bus=SimpleNamespace(latest=NavigationState), say_autonomy=lambda text, headed: told.append(headed),
+    )  # fmt: skip
+    pilot = make_autopilot(navigator, hands, SimpleNamespace(robot=robot, clock=None), AutonomySettings(), False)
+    pilot.explorer.step = lambda seen, may: Wish()
+    pilot.connect()
+    for target in (-1, 3):
+        pilot.explorer.target, pilot.explorer.machine.reason = target, f"to {target}"
+        pilot.read()
+    assert told == [-1, 3]

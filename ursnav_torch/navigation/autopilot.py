@@ -118,7 +118,10 @@ def make_autopilot(
             state.guidance.stones.seen,
         )
 
-    return Autopilot(hands, rig.robot, explorer, perceive, navigator.say_autonomy, quits)
+    def tell(text: str) -> None:
+        navigator.say_autonomy(text, explorer.target)
+
+    return Autopilot(hands, rig.robot, explorer, perceive, tell, quits)
 
 
 def sticks_of(wish: Wish, limits: Limits) -> tuple[float, float, float]:

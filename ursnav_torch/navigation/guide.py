@@ -34,7 +34,8 @@ class Guide:
 
     Attributes:
         coverage, watch: what was seen of the wall, and which stones.
-        chosen: index of the calyx that is headed for, -1 for none chosen.
+        chosen: index of the calyx that a person chose, -1 for none.
+        headed: index of the calyx that autonomy heads for, -1 for none; a person's choice goes before it.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class Guide:
         reach = vid.T_kidney_camera[::REACH_STRIDE]
         self.coverage = Coverage(vid.kidney, vid.camera, lumen, reach, settings.coverage)
         self.watch, self._stones, self._stones_s = watch, NO_STONES, -np.inf
-        self.chosen = -1
+        self.chosen = self.headed = -1
         self._at = vid.kidney.pelvis_mm
 
     def paint(
@@ -72,8 +73,9 @@ class Guide:
         if T_kidney_camera is not None:
             self._at = T_kidney_camera[:3, 3]
         chosen = self.chosen  # read once: another thread may choose meanwhile
-        if chosen >= 0:
-            route: Route | None = route_to(self.kidney, self._at, chosen, self.limits)
+        target = chosen if chosen >= 0 else self.headed
+        if target >= 0:
+            route: Route | None = route_to(self.kidney, self._at, target, self.limits)
         else:
             route = next_target(self.coverage, self._at, self.limits)
         here = route or route_to(self.kidney, self._at, 0, self.limits)

@@ -165,8 +165,9 @@ class Navigator:
         self.guide.chosen = names.index(calyx) if calyx else -1
         self._choose_again = True
 
-    def say_autonomy(self, text: str) -> None:
-        """What exploring by itself is doing, for whoever looks."""
+    def say_autonomy(self, text: str, headed: int = -1) -> None:
+        """What exploring by itself is doing, for whoever looks, and the calyx (index) it heads for, -1 for none."""
+        self.guide.headed, self._choose_again = headed, True
         self.bus.update(lambda state: _worded(replace(state, autonomy=text)))
 
     def forget_place(self) -> None:
