@@ -1,6 +1,6 @@
 """The lumen as a grid of voxels with the signed distance to its wall: what paths and distances are computed on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
@@ -34,6 +34,7 @@ class VoxelGrid:
     voxel_mm: float
     index: IntArray
     centers_mm: Array
+    _trees: list[cKDTree] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def from_inside(cls, inside: NDArray[np.bool_], wall_mm: Array, origin_mm: Array, voxel_mm: float) -> "VoxelGrid":
@@ -60,8 +61,14 @@ class VoxelGrid:
         voxel = self.index[tuple(np.clip(at, 0, np.array(self.index.shape) - 1).T)]
         out = (voxel < 0) | np.any((at < 0) | (at >= self.index.shape), axis=1)
         if out.any():
-            voxel[out] = cKDTree(self.centers_mm).query(points[out])[1]
+            voxel[out] = self._tree().query(points[out])[1]
         return voxel
+
+    def _tree(self) -> cKDTree:
+        """Finds centers near a place; made when a place outside is first asked for, and kept."""
+        if not self._trees:
+            self._trees.append(cKDTree(self.centers_mm))
+        return self._trees[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
