@@ -1,123 +1,108 @@
-"""Whether a kidney is known from another: what pictures say of it, and the weights that `OwnKidneySettings` has.
+"""Whether a kidney is known from another: what the test makes of flights, by what a mirrored picture counts.
 
-    python -m benchmarks.own_kidney                        # 8 phantoms; a quarter of an hour
-    python -m benchmarks.own_kidney phantoms=4 work=DIR    # VIDs are kept there
+    python -m benchmarks.own_kidney work=DIR             # an hour; DIR as of benchmarks.flights
+    python -m benchmarks.own_kidney work=DIR others=1    # each flight in one other VID instead of three
 
-Every phantom is flown through in its own VID and in two others'. Over the pictures of all flights the log-odds that
-they show the VID's kidney are fitted anew (logistic regression, both kinds of flight counting the same) and printed
-beside those in use; of the flights it is told how much was tracked, and how they ended.
+Every flight of the choosing half of `benchmarks.flights` is tracked in its own VID and in those of the half's other
+phantoms, and every picture that is weighed against all views is mirrored, too. With what these pictures say the test is
+run again for each of several `OwnKidneySettings.doubt_weights`: how much of its own kidney is believed, and of others.
+A weight of 0 tells what a stricter constant does alone. The weights of the rest stay as they were learned, in VIDs of
+more views, where the lead of a place tells more.
 """
 
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import rankdata
 
-from benchmarks.shared.phantoms import phantom_vid
+from benchmarks.shared.flights import CHOOSING, flown, population, vid_for
 from benchmarks.shared.results import Report, overrides
-from benchmarks.tracking import fly
-from ursnav_torch.errors import InputError
-from ursnav_torch.kidney import make_phantom_kidney
-from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.rendering.sensor import PRESETS, draw_faults, simulate
+from benchmarks.shared.track_records import TOLD, Choice, tracked
+from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.settings import OwnKidneySettings
-from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
-from ursnav_torch.vid import PlanSettings, Vid
 
-SETTINGS = {"phantoms": 8, "views": 150, "pictures": 120, "work": "", "out": ""}
-KINDS = ("thesis_simulation", "thesis_phantom", "in_vivo_like")
-FIRST_SEED = 20
-#: Added to the fitted constant: a right VID is likelier than a wrong one, e to 1.
-IN_FAVOR = 1.0
-#: Poses of an own flight that are farther off say nothing of whether a right one is believed.
-LOST_MM = 4.0
-_BEGIN = 2  # pictures of a flight before anything is known
+SETTINGS = {"phantoms": 8, "views": 60, "around": 8.0, "pictures": 120, "others": 3, "work": "", "out": ""}
+#: Weights of the decoy's score that are tried.
+DECOY = (0.0, -4.0, -6.0, -8.0, -10.0, -12.0)
+#: And what they and the constant make together, in log-odds, of a decoy that scores as wrong kidneys' pictures do.
+TOGETHER, USUAL = (-1.25, -1.0, -0.75, -0.5, -0.25, 0.0), 0.5
+_ALWAYS = (("own_kidney", "doubt_below", "99"),)  # every picture that is weighed is mirrored
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Answers to the pictures of one flight, and how far off each aligned pose is (N,), in mm."""
+    """What the pictures of one flight say of a VID.
+
+    Attributes:
+        own: whether the VID is of the kidney that was flown through.
+        t_s: (N,) seconds.
+        evidence: (N, 4) score, lead, fit and decoy, see `KidneyEvidence`; nan where a picture was not asked.
+    """
 
     own: bool
-    kind: str
-    answers: list[Tracked]
-    off_mm: Array
+    t_s: Array
+    evidence: Array
 
 
 def main(arguments: list[str]) -> None:
-    """Fly, fit, print."""
+    """Fly, test, print."""
     settings = overrides(SETTINGS, arguments)
-    if settings["phantoms"] < 3:
-        raise InputError(f"phantoms={settings['phantoms']} leaves no two others for each; ask for 3 or more.")
     report = Report("own_kidney", {k: v for k, v in settings.items() if k not in ("work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
-        work = Path(settings["work"] or scratch)
-        vids = [_vid(FIRST_SEED + i, settings["views"], work) for i in range(settings["phantoms"])]
-        flights = []
-        for i, vid in enumerate(vids):
-            for k in range(2):
-                kind = KINDS[(i + k) % 3]
-                flights.append(_flight(vid, vid, kind, FIRST_SEED + i, settings["pictures"]))
-                other = vids[(i + 1 + k) % len(vids)]
-                flights.append(_flight(vid, other, kind, FIRST_SEED + i, settings["pictures"]))
-                print(f"phantom {i + 1} of {len(vids)}, {kind}", file=sys.stderr, flush=True)
-    _tell(report, flights)
-    _fit(report, flights)
+        flights = list(_flights(settings, Path(settings["work"] or scratch)))
+    used = OwnKidneySettings()
+    add_beliefs(report, "as set", flights, used)
+    add_beliefs(report, "never mirrored", flights, OwnKidneySettings(doubt_below=used.min_sum))
+    for weight in DECOY:
+        for together in TOGETHER:
+            tried = OwnKidneySettings(doubt_weights=(together - USUAL * weight, weight))
+            add_beliefs(report, f"decoy's weight {weight:g}, {together:g} at {USUAL:g}", flights, tried)
     report.finish(settings["out"])
 
 
-def _vid(seed: int, views: int, work: Path) -> Vid:
-    kidney = make_phantom_kidney(seed, calyces=6 + seed % 4)
-    return phantom_vid(kidney, PlanSettings(views, views), work / f"own_kidney_{seed}_{views}")
+def _flights(settings: dict[str, Any], work: Path) -> Iterator[Flight]:
+    cases = [c for c in population(settings["phantoms"]) if c.half == CHOOSING]
+    vids = {c.kidney: vid_for(c, settings["views"], settings["around"], work, None) for c in cases}
+    kidneys = list(vids)
+    for case in cases:
+        own, at = vids[case.kidney], kidneys.index(case.kidney)
+        seen = flown(case, own, own.lumen, settings["pictures"], work)
+        for kidney in [*kidneys[at:], *kidneys[:at]][: 1 + settings["others"]]:
+            choice = Choice(_ALWAYS, other=kidney != case.kidney)
+            told = tracked(seen, vids[kidney], vids[kidney].lumen, choice).told
+            evidence = told[:, [TOLD.index(name) for name in ("plain", "lead", "fit", "decoy")]]
+            yield Flight(kidney == case.kidney, seen.flight.t_s, evidence)
+        print(f"{case.name}: severity {case.severity:g}", file=sys.stderr, flush=True)
 
 
-def _flight(seen: Vid, vid: Vid, kind: str, seed: int, pictures: int) -> Flight:
-    """A flight through one kidney, tracked in a VID."""
-    renderer, rng = RaycastRenderer(seen.kidney.mesh, seen.camera), np.random.default_rng(seed)
-    T = fly(seen.kidney, range(0, 4, 2), rng, 0.8)[:pictures]
-    faults, tracker = draw_faults(PRESETS[kind], rng), Tracker(vid)
-    answers = [tracker.step(simulate(renderer, pose, faults, rng), i / 10) for i, pose in enumerate(T)]
-    aligned = np.array([np.full(3, np.inf) if a.T_aligned is None else a.T_aligned[:3, 3] for a in answers])
-    return Flight(seen is vid, kind, answers, np.linalg.norm(aligned - T[:, :3, 3], axis=1))
+def verdicts(flight: Flight, settings: OwnKidneySettings) -> list[bool | None]:
+    """What the test says at every picture, see `OwnKidneyTest.verdict`; what it said stands until it says otherwise."""
+    test, looked_s = OwnKidneyTest(settings), None
+    said: list[bool | None] = []
+    for t_s, evidence in zip(flight.t_s.tolist(), flight.evidence, strict=True):
+        if np.isfinite(evidence).all():
+            score, lead, fit, decoy = evidence.tolist()
+            told = KidneyEvidence(score, lead, fit, decoy if test.in_doubt else None)
+            test.add(told, settings.frame_s if looked_s is None else t_s - looked_s)
+            looked_s = t_s
+        before = said[-1] if said else None
+        said.append(before if test.verdict is None else test.verdict)
+    return said
 
 
-def _tell(report: Report, flights: list[Flight]) -> None:
-    """How much of the flights was tracked, and how they ended."""
-    for own, name in ((True, "its own VID"), (False, "another's VID")):
-        for kind in KINDS:
-            these = [f for f in flights if f.own == own and f.kind == kind]
-            shares = [100 * float(np.mean([a.state == TRACKING for a in f.answers])) for f in these]
-            if shares:
-                right = sum((f.answers[-1].state == TRACKING) == own for f in these)
-                note = f"{right} of {len(these)} end as they should"
-                report.add(f"{kind} in {name}", "tracking", "%", shares, note)
-
-
-def _fit(report: Report, flights: list[Flight]) -> None:
-    """The weights anew, beside those in use."""
-    rows, own = [], []
-    for flight in flights:
-        for answer, off in list(zip(flight.answers, flight.off_mm, strict=True))[_BEGIN:]:
-            if answer.evidence is not None and (off < LOST_MM or not flight.own):
-                rows.append([1.0, answer.evidence.score, answer.evidence.lead, answer.evidence.fit])
-                own.append(flight.own)
-    x, y = np.array(rows), np.array(own)
-    sign, weight = np.where(y, 1.0, -1.0), np.where(y, 0.5 / y.mean(), 0.5 / (1 - y.mean()))
-    found = minimize(lambda w: float((weight * np.logaddexp(0, -sign * (x @ w))).mean()), np.zeros(4)).x
-    found[0] += IN_FAVOR
-    used = OwnKidneySettings().weights
-    for name, weights in (("fitted", found.tolist()), ("in use", list(used))):
-        rank = rankdata(x @ np.array(weights))
-        auroc = (rank[y].sum() - y.sum() * (y.sum() + 1) / 2) / (y.sum() * (~y).sum())
-        report.add(f"weights {name}", "AUROC of a picture", "of 1", [float(auroc)], n=len(y))
-        for what, value in zip(("constant", "score", "lead", "fit"), weights, strict=True):
-            report.add(f"weights {name}", what, "log-odds", [value], n=len(y))
+def add_beliefs(report: Report, group: str, flights: Sequence[Flight], settings: OwnKidneySettings) -> None:
+    """How much of right and of wrong kidneys is believed, and how their flights end."""
+    for own, name in ((True, "a right kidney"), (False, "a wrong kidney")):
+        found = [verdicts(flight, settings) for flight in flights if flight.own == own]
+        share = 100 * float(np.mean([v is True for said in found for v in said]))
+        note = f"{sum(said[-1] is False for said in found)} of {len(found)} end lost"
+        report.add(group, f"{name} believed", "%", [share], note, sum(len(said) for said in found))
 
 
 if __name__ == "__main__":

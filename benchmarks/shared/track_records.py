@@ -28,8 +28,9 @@ SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(Tra
 #: And how poses are aligned in a video.
 ALIGNMENT = "alignment"
 #: Columns of `Record.told`: score of the alignment; score as taken, lead and fit of the evidence; standard deviation of
-#: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed.
-TOLD = ("score", "plain", "lead", "fit", "sd_mm", "spread_mm", "spread_deg", "share", "smoothed_mm")
+#: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed;
+#: score of the evidence's decoy.
+TOLD = ("score", "plain", "lead", "fit", "sd_mm", "spread_mm", "spread_deg", "share", "smoothed_mm", "decoy")
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -81,7 +82,7 @@ class Record:
         T: (N, 4, 4) nan where there is none.
         calyx, true_calyx: (N,) indices, -1 for none.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        told: (N, 9) what the answers say of themselves, see `TOLD`; nan where they say nothing.
+        told: (N, 10) what the answers say of themselves, see `TOLD`; nan where they say nothing.
     """
 
     flown: Flown
@@ -151,7 +152,8 @@ def _told(answer: Tracked) -> list[float]:
         e = sure.evidence
         known = [sure.position_sd_mm, e.spread_mm, e.spread_deg, float(e.share[e.calyx])]
     off = np.nan if T is None or aligned is None else float(np.linalg.norm(T[:3, 3] - aligned[:3, 3]))
-    return [answer.score, *seen, *known, off]
+    decoy = np.nan if found is None or found.decoy is None else found.decoy
+    return [answer.score, *seen, *known, off, decoy]
 
 
 def sources(rooms: tuple[str, ...]) -> str:

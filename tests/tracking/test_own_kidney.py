@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from ursnav_torch.errors import InputError
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.settings import OwnKidneySettings
 
@@ -57,9 +58,31 @@ def test_a_picture_counts_by_its_weighted_evidence_within_limits() -> None:
     )
 
 
+def test_in_doubt_a_picture_counts_beside_its_mirror_image() -> None:
+    s = OwnKidneySettings(weights=(-4.0, 10.0, 5.0, -2.0), doubt_weights=(0.7, -3.0))
+    assert KidneyEvidence(0.5, 0.1, 0.8, 0.2).log_odds(s) == pytest.approx(-0.1 + 0.7 - 0.6)
+    assert KidneyEvidence(0.5, 0.1, 0.8, 0.2, off=2.5).log_odds(s) == pytest.approx(0.0 + 0.5)
+    used = OwnKidneySettings()
+    assert KidneyEvidence(0.5, 0.0, 1.2, 0.4).log_odds(used) > KidneyEvidence(0.5, 0.0, 1.2, 0.45).log_odds(used)
+
+
+def test_a_kidney_is_in_doubt_below_the_sum_that_is_believed() -> None:
+    test = OwnKidneyTest(OwnKidneySettings())
+    assert test.in_doubt
+    test.trust = 2.99
+    assert test.in_doubt
+    test.trust = 3.0
+    assert not test.in_doubt and test.verdict is True
+
+
+def test_weights_that_are_too_few_are_refused() -> None:
+    with pytest.raises(InputError, match="4 weights, and 2 more in doubt"):
+        OwnKidneySettings(doubt_weights=(1.0,))  # type: ignore[arg-type]
+
+
 def test_every_kind_of_evidence_counts_its_way() -> None:
     def odds(score: float = 0.5, lead: float = 0.0, fit: float = 1.2, off: float | None = None) -> float:
-        return KidneyEvidence(score, lead, fit, off).log_odds(OwnKidneySettings())
+        return KidneyEvidence(score, lead, fit, off=off).log_odds(OwnKidneySettings())
 
     assert odds(score=0.52) > odds() > odds(score=0.48)
     assert odds(lead=0.1) > odds() > odds(lead=-0.05)

@@ -12,6 +12,7 @@ from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import FilterSettings
 
 Array = NDArray[np.float64]
+_NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
 class ViewFilter:
@@ -59,6 +60,14 @@ class ViewFilter:
         if sensor is not None:
             log = log + sensor.log_probability(T, self._spacing_mm)
         return log
+
+
+def with_incumbent(found: Hypotheses, T: Array, share: float, lumen: LumenDistance) -> Hypotheses:
+    """The hypotheses that count, and a track's pose (4, 4) as one more, with that share of the probability."""
+    kept = found.weight > _NEGLIGIBLE
+    to_tips = np.concatenate([found.to_tips_mm[kept], lumen.to_calyces(T[None, :3, 3])])
+    weight = np.append((1 - share) * found.weight[kept], share)
+    return Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
 
 
 def place(hypotheses: Hypotheses, settings: FilterSettings) -> Array:

@@ -16,12 +16,14 @@ class KidneyEvidence:
             pictures of another kidney fit, too.
         lead: by how much the views at that pose fit better than those anywhere else.
         fit: of the best view; where it is high there is much to be seen, and a true pose aligns well.
+        decoy: score of the mirrored picture, which is asked while the kidney is in doubt; None else.
         off: standard deviations by which the pose misses the sensor's reading, None without one.
     """
 
     score: float
     lead: float
     fit: float
+    decoy: float | None = None
     off: float | None = None
 
     def log_odds(self, settings: OwnKidneySettings) -> float:
@@ -29,6 +31,9 @@ class KidneyEvidence:
         s = settings
         constant, score, lead, fit = s.weights
         odds = constant + score * self.score + lead * self.lead + fit * self.fit
+        if self.decoy is not None:
+            doubt, decoy = s.doubt_weights
+            odds += doubt + decoy * self.decoy
         if self.off is not None:
             odds += float(np.clip(s.sensor_gate_sd - self.off, -s.max_llr_against, s.max_llr_against))
         return float(np.clip(odds, -s.max_llr_against, s.max_llr_for))
@@ -50,6 +55,11 @@ class OwnKidneyTest:
         s = self._settings
         gain = evidence.log_odds(s) * min(seconds, 4 * s.frame_s) / s.frame_s
         self.trust = float(np.clip(self.trust + gain, s.min_sum, s.max_sum))
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether a picture's evidence needs a decoy."""
+        return self.trust < self._settings.doubt_below
 
     @property
     def verdict(self) -> bool | None:

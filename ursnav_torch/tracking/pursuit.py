@@ -11,9 +11,10 @@ from ursnav_torch.alignment.light import LampState
 from ursnav_torch.alignment.refine import Prior
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import inverse, transform_from
+from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.tracking.filter import place
-from ursnav_torch.tracking.motion import Hypotheses
+from ursnav_torch.tracking.motion import Hypotheses, Since
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
@@ -61,6 +62,23 @@ class _Lead:
         on = here @ carried
         R = Rotation.from_matrix(on[:3, :3]).as_matrix()  # else rounding errors double from picture to picture
         return [transform_from(R, on[:3, 3]), here]
+
+
+def expected(
+    since: Since | None, sensor: SensorReading | None, settings: ChallengerSettings, lumen: LumenDistance
+) -> Prior:
+    """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
+
+    def prior(T: Array) -> Array:
+        log = np.zeros(len(T))
+        if since is not None:
+            log = since.log_probability(T, lumen.to_calyces(T[:, :3, 3]))
+            log = np.maximum(log - log.max(), -settings.score_step / settings.prior_weight)
+        if sensor is not None:
+            log = log + sensor.log_probability(T)
+        return settings.prior_weight * log
+
+    return prior
 
 
 class Pursuit:

@@ -118,9 +118,14 @@ class OwnKidneySettings:
     """The sequential probability ratio test whether pictures show the VID's kidney (Wald 1945).
 
     Attributes:
-        weights: constant, and weights of an `Evidence`'s score, lead and fit, in the log-odds that a picture shows
-            the VID's kidney and not another: logistic regression over flights through eight phantoms, each in its own
-            and in others' VIDs, plus 1 for a right VID being likelier than a wrong one (`benchmarks.own_kidney`).
+        weights: constant, and weights of a `KidneyEvidence`'s score, lead and fit, in the log-odds that a picture
+            shows the VID's kidney and not another: logistic regression over flights in clear pictures through eight
+            phantoms, each in its own and in others' VIDs of 150 views a calyx, plus 1 for a right VID being likelier
+            than a wrong one (`benchmarks.own_kidney` of version 0.1).
+        doubt_weights: constant, and weight of the decoy's score, added to these while the kidney is in doubt; amid
+            those that let nothing of the choosing flights be believed in another's VID, and as much as before in their
+            own (`benchmarks.own_kidney others=1`).
+        doubt_below: the mirrored picture is asked while the sum is below this, so that a settled track costs no more.
         sensor_gate_sd: a sensor's reading that the pose meets within so many standard deviations speaks for this
             kidney; the alignment's own noise is among them.
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
@@ -131,6 +136,8 @@ class OwnKidneySettings:
     """
 
     weights: tuple[float, float, float, float] = (-4.2, 15.8, 4.9, -3.1)
+    doubt_weights: tuple[float, float] = (3.4, -8.0)
+    doubt_below: float = 3.0
     sensor_gate_sd: float = 3.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
@@ -142,8 +149,12 @@ class OwnKidneySettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        if len(self.weights) != 4:
-            raise InputError(f"The own-kidney test has 4 weights, got {len(self.weights)}.")
+        object.__setattr__(self, "doubt_weights", tuple(float(w) for w in self.doubt_weights))
+        if len(self.weights) != 4 or len(self.doubt_weights) != 2:
+            raise InputError(
+                "The own-kidney test has 4 weights, and 2 more in doubt, got "
+                f"{len(self.weights)} and {len(self.doubt_weights)}."
+            )
         bounds = (self.min_sum, self.reject_below, self.accept_above, self.max_sum)
         if list(bounds) != sorted(bounds) or not self.reject_below < 0 < self.accept_above or self.frame_s <= 0:
             raise InputError(

@@ -34,12 +34,13 @@ from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
-from ursnav_torch.tracking.filter import ViewFilter
+from ursnav_torch.tracking.decoy import Decoy, mirrored
+from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
 from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import ScopePattern
-from ursnav_torch.tracking.pursuit import Pursuit, Weighed
+from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.smooth import PoseFilter
@@ -49,7 +50,6 @@ Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
 _LOOKED_AT = (96, 192, 384)  # after so many pictures it is looked for what never changes in them
 _SAME_TIME_S = 1e-3
-_NEGLIGIBLE = 1e-6  # hypotheses of less probability are not carried on
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +145,7 @@ class Tracker:
         if not views.scans:
             raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
         self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion.spacing_mm)
+        self._decoy = Decoy(self._filter, self._refiner, self.lumen, s, vid.kidney.scale)
         self.reset()
 
     def described(self) -> str:
@@ -191,6 +192,7 @@ class Tracker:
         self._test = OwnKidneyTest(self.settings.own_kidney)
         self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
+        self._decoy.reset()
         self._still = StillPixels(self.vid.camera.pixel_rays()[1])
 
     def step(
@@ -294,17 +296,19 @@ class Tracker:
         as_taken, features = features, self._pattern.removed(features)
         carried, motion = self._carried, self.settings.motion
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
-        expected, way = self._expected(since, sensor), None if carried is None else carried.T_before_now
-        evidence, refined = None, self._gone_on(features, expected, way, t_s)
+        prior = expected(since, sensor, self.settings.challenger, self.lumen)
+        way = None if carried is None else carried.T_before_now
+        evidence, refined = None, self._gone_on(features, prior, way, t_s)
         if refined is None:
             bare = not features.maps.numel()
             mapped = self._extractor.with_relief(features, features.fields[0]) if bare else features
             self._found, fits = self._filter.update(mapped, since, sensor)
             self._fit = float(fits[self._found.weight.argmax()])
-            picture = Weighed(features, self._found, fits, expected, sensor, way)
+            picture = Weighed(features, self._found, fits, prior, sensor, way)
             refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
             plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
-            evidence = self._judge(picture, refined.T_kidney_camera, plain, t_s)
+            decoy = self._decoy.score(self._mirrored(as_taken), t_s) if self._test.in_doubt else None
+            evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s)
         found, fit = self._found, self._fit
         assert found is not None
         self._learn_plays(refined, passed)
@@ -339,31 +343,13 @@ class Tracker:
         probability = self.settings.certainty.set_probability
         return track_certainty(evidence, self._weights, probability, kidney.scale), float(evidence.share[calyx])
 
-    def _expected(self, since: Since | None, sensor: SensorReading | None) -> Prior:
-        """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
-        s = self.settings.challenger
-
-        def prior(T: Array) -> Array:
-            log = np.zeros(len(T))
-            if since is not None:
-                log = since.log_probability(T, self.lumen.to_calyces(T[:, :3, 3]))
-                log = np.maximum(log - log.max(), -s.score_step / s.prior_weight)
-            if sensor is not None:
-                log = log + sensor.log_probability(T)
-            return s.prior_weight * log
-
-        return prior
-
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
         own = self.settings.filter.incumbent_share * self._pursuit.trusted
-        kept = found.weight > _NEGLIGIBLE
-        to_tips = np.concatenate([found.to_tips_mm[kept], self.lumen.to_calyces(T[None, :3, 3])])
-        weight = np.append((1 - own) * found.weight[kept], own)
-        self._before = Hypotheses(np.concatenate([found.T_kidney_camera[kept], T[None]]), to_tips, weight)
+        self._before = with_incumbent(found, T, own, self.lumen)
         self._at_s, self._seen_s = t_s, t_s
 
-    def _gone_on(self, features: Features, expected: Prior, way: Array | None, t_s: float) -> Refined | None:
+    def _gone_on(self, features: Features, prior: Prior, way: Array | None, t_s: float) -> Refined | None:
         """The pose of a settled track, aligned alone, with the hypotheses carried along; None where it is time, or
         necessary, to weigh the picture against all views."""
         due = self._looked_s is None or t_s - self._looked_s >= self._filter.settings.every_s - _SAME_TIME_S
@@ -371,20 +357,25 @@ class Tracker:
         if due or not sure or self._state != TRACKING or self._aligned is None or self._found is None:
             return None
         before = self._aligned.T_kidney_camera
-        refined = self._pursuit.go_on(features, expected, way)
+        refined = self._pursuit.go_on(features, prior, way)
         if refined is not None:
             self._found = self._found.carried(inverse(before) @ refined.T_kidney_camera, self.lumen)
         return refined
 
-    def _judge(self, picture: Weighed, T: Array, score: float, t_s: float) -> KidneyEvidence:
-        """Settle the state after a picture aligned at a pose (4, 4); the score is for the picture as it was taken."""
+    def _mirrored(self, as_taken: Features) -> Features:
+        """What the decoy needs of a picture."""
+        planes = mirrored(self.planes(as_taken), self.working_camera)
+        return self._extractor.with_relief(self.recall(planes), planes[0])
+
+    def _judge(self, picture: Weighed, T: Array, score: float, decoy: float | None, t_s: float) -> KidneyEvidence:
+        """Settle the state after a picture aligned at a pose (4, 4); scores are for the picture as it was taken."""
         seconds = self.settings.own_kidney.frame_s if self._looked_s is None else max(t_s - self._looked_s, 1e-3)
         self._looked_s = t_s
         near = self._near(picture.found.T_kidney_camera, T)
         worst = float(picture.fits.min())  # what was not kept fits no better
         here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
         off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
-        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), off)
+        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), decoy, off)
         self._test.add(evidence, seconds)
         if self._test.verdict is not None:
             self._state = TRACKING if self._test.verdict else LOST

@@ -1,0 +1,72 @@
+"""A decoy that a track's fit is held against: the same picture mirrored, which shows no kidney that there is.
+
+How well a wrong kidney's picture fits depends on the picture: on fog, on skin, on how much is to be seen. A mirrored
+picture has all of that in common with the picture and is of another kidney, so that its score tells what is to be
+expected of a wrong one (target and decoy: Elias and Gygi, Nature Methods 4:207, 2007; cohort normalization in speaker
+verification: Rosenberg et al., ICSLP 1992). Along a straight tube both fit alike, and neither kidney is spoken for.
+"""
+
+import torch
+from torch import Tensor
+
+from ursnav_torch.alignment import Refiner
+from ursnav_torch.camera import Camera
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
+from ursnav_torch.tracking.motion import Hypotheses, Since
+from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
+from ursnav_torch.tracking.settings import TrackSettings
+
+
+class Decoy:
+    """Follows mirrored pictures as a track is followed that is looked for anew in every picture.
+
+    Args:
+        views: the VID's views, weighed as for the track itself.
+        refiner: aligns poses with pictures.
+        lumen: distances in the kidney.
+        settings: those of the track, lengths in mm of this kidney.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
+    """
+
+    def __init__(
+        self, views: ViewFilter, refiner: Refiner, lumen: LumenDistance, settings: TrackSettings, unit_mm: float = 1.0
+    ) -> None:
+        self._views, self._lumen, self._settings = views, lumen, settings
+        self._pursuit = Pursuit(refiner, settings.challenger, settings.filter, unit_mm)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where mirrored pictures were."""
+        self._pursuit.reset()
+        self._before: Hypotheses | None = None
+        self._at_s = 0.0
+
+    def score(self, mirrored: Features, t_s: float) -> float:
+        """How well the best pose found is aligned with a mirrored picture, whose features have maps.
+
+        Args:
+            mirrored: features of the picture, see `mirrored`.
+            t_s: when it was taken; after a pause longer than tracks are bridged for, the decoy begins anew.
+        """
+        s, passed = self._settings, max(t_s - self._at_s, 1e-3)
+        if passed > s.filter.bridge_s:
+            self.reset()
+        since = None if self._before is None else Since(self._before, passed, s.motion)
+        found, fits = self._views.update(mirrored, since, None)
+        prior = expected(since, None, s.challenger, self._lumen)
+        refined = self._pursuit.follow(Weighed(mirrored, found, fits, prior, None), anew=True)
+        share = s.filter.incumbent_share
+        self._before, self._at_s = with_incumbent(found, refined.T_kidney_camera, share, self._lumen), t_s
+        return refined.score
+
+
+def mirrored(planes: Tensor, working_camera: Camera) -> Tensor:
+    """Planes (P, H, W) of a picture as a mirror beside the scope would show them.
+
+    Columns change places about the lens's axis, to the nearest pixel; a lens that is not the same on both sides of it
+    is taken for one that is.
+    """
+    off_middle = round(2 * working_camera.cx - (planes.shape[-1] - 1))
+    return torch.roll(planes.flip(-1), off_middle, -1)
