@@ -23,6 +23,7 @@ _NECK_TOUCH = 1.5
 #: A wall whose normal is within 45 degrees of the axis faces the scope; along another it goes on at this part of speed.
 _FACING, _CREEP = 0.7, 0.25
 #: An axis within this angle of where it shall look is left, as a tip trembles that follows places that are not sharp.
+#: Set, not varied, as what follows.
 _LEEWAY_RAD = 0.08
 #: Where the lumen is narrower than this many times the clearance asked for, a straight line to the goal must be free.
 _NARROW = 2.0
