@@ -98,6 +98,8 @@ def test_a_recording_is_tracked_with_hindsight_scored_and_exported(
     truth = tmp_path / "truth.csv"
     write_csv(truth, ("calyx", *POSE_COLUMNS), [{"calyx": ""} | cells for cells in pose_cells(poses)])
     arguments = [f"vid={vid.folder}", f"source={folder}", "offline=true", "tum=true"]
+    # Along a straight neck of a phantom eight pictures are too few to be told from their mirror images.
+    arguments.append("tracking.own_kidney.doubt_below=-99")
     done = run("track", *arguments, f"out={tmp_path / 'a.csv'}", f"truth={truth}")
     assert done.code == 0, done.err
     assert "8 pictures: 8 tracking" in done.out and "position_mm" in done.out
