@@ -32,6 +32,12 @@ def test_what_is_faint_or_small_is_not_told(radius: int, probability: float) -> 
     assert find_bodies(torch.stack([disk(50, 50, radius, probability), torch.zeros(100, 100)]), INSIDE, 1.0) == ()
 
 
+def test_what_is_faint_is_not_told_beside_what_is_sure() -> None:
+    stones = torch.maximum(disk(25, 25, 8, 0.97), disk(70, 70, 8, SURE - 0.05))
+    (body,) = find_bodies(torch.stack([stones, torch.zeros(100, 100)]), INSIDE, 1.0)
+    assert body.center_px == pytest.approx((25, 25), abs=0.6)
+
+
 def test_nothing_is_told_outside_the_lens() -> None:
     outside = INSIDE.clone()
     outside[:, :50] = 0
