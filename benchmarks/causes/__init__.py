@@ -15,16 +15,16 @@ takes the first phantoms that certainty is learned from in place of ``data``, wi
 and ``views=60`` (a calyx). ``vary=`` compares values of a setting of refinement or of localization by them; the tables
 then have the CPU time of a still besides, which the true pose's alignment counts in where the answer is wrong.
 
-Tried and left. **Learned flow**: a network (0.25 million weights, encoders apart, correlation volume, 9,000 pictures
-of 56 phantoms) told where each drawn point lies in the picture, and a robust fit moved each start before it was
-aligned, three times. A first form of it let 41 % of random starts, 2.7 mm and 22° off, be aligned instead of 17. Of
-430 stills of four phantoms 349 were right instead of 344 (alignment's part 33 to 21, ranking's 17 to 26, verification
-taught anew), of 56 path-traced ones 46 as before, and of 48 real frames 3 were within 2 mm and 10° instead of 12: it
-had learned the simulation. **Starts of other calyces**: after the first three the best of each calyx not among them.
-350 of 430, but on two phantoms that chose nothing 8 pictures gained and 8 lost; real frames 10 of 48. **A smoother
-lumen**, against bumps of a segmentation that real tissue does not show: real frames 12, with 40 and 150 of Taubin's
-steps 10 and 9. There the true pose, aligned, has a lower score than the answer in the median (0.35 and 0.44): the
-relief of the segmented wall is not that of the tissue.
+Tried and left, by code that is not kept. **Learned flow**: a network (0.25 million weights, encoders apart,
+correlation volume, 9,000 pictures of 56 phantoms) told where each drawn point lies in the picture, and a robust fit
+moved each start before it was aligned, three times. A first form of it let 41 % of random starts, 2.7 mm and 22° off,
+be aligned instead of 17. Of 430 stills of four phantoms 349 were right instead of 344 (alignment's part 33 to 21,
+ranking's 17 to 26, verification taught anew), of 56 path-traced ones 46 as before, and of 48 real frames 3 were
+within 2 mm and 10° instead of 12: it had learned the simulation. **Starts of other calyces**: after the first three
+the best of each calyx not among them. 350 of 430, but on two phantoms that chose nothing 8 pictures gained and 8
+lost; real frames 10 of 48. **A smoother lumen**, against bumps of a segmentation that real tissue does not show: real
+frames 12, with 40 and 150 of Taubin's steps 10 and 9. There the true pose, aligned, has a lower score than the answer
+in the median (0.35 and 0.44): the relief of the segmented wall is not that of the tissue.
 """
 
 import sys

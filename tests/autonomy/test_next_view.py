@@ -17,7 +17,7 @@ CALYX = 2
 @pytest.fixture
 def planner(phantom, phantom_lumen, lens, vid):
     coverage = Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera[::2])
-    return ViewPlanner(coverage, FreeSpace(phantom_lumen), Segment(), 0.8, np.radians(120))
+    return ViewPlanner(coverage, FreeSpace(phantom_lumen), Segment(), 0.8, np.radians(120), 20.0)
 
 
 @pytest.fixture

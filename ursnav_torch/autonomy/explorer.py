@@ -76,7 +76,7 @@ class Explorer:
         segment = segment or Segment()
         self._steering, self._space = Steering(lumen, segment, s), FreeSpace(lumen)
         most_bent = np.radians(self._limits.largest_bend_deg)
-        self._planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent)
+        self._planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent, s.view_time_mm)
         self.machine, self.target = StateMachine(), -1
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]

@@ -20,10 +20,6 @@ Array = NDArray[np.float64]
 #: Bends away from the present one that are tried, in these directions, and advances along the curve, mm at scale 1.
 _BENDS_RAD, _DIRECTIONS = np.radians([20.0, 45.0, 70.0]), 6
 _ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
-#: A view costs the tip's way to it, and as much as this of way for the time that it takes, mm at scale 1. With 3, 8, 20
-#: here, ``python -m benchmarks.exploring half=choosing pose=true phantoms=20 tissue=breathing,buckling,bleeding`` had
-#: paths of 1.79, 1.78, 1.65 times the shortest tour, before the turn into the next calyx began early.
-_TIME_MM = 20.0
 #: Where a bend is cut off by a wall is looked for in so many steps.
 _SHARES = np.linspace(0.0, 1.0, 17)
 
@@ -55,6 +51,7 @@ class ViewPlanner:
         segment: the scope's bending tip.
         kept_mm: how near the tip may come to the wall, mm of this kidney.
         largest_bend_rad: of the tip.
+        time_mm: a view costs the tip's way to it, and so much of way for the time that it takes, mm of this kidney.
     """
 
     coverage: Coverage
@@ -62,6 +59,7 @@ class ViewPlanner:
     segment: Segment
     kept_mm: float
     largest_bend_rad: float
+    time_mm: float
 
     def candidates(self, seen: Perception, T: Array, calyx: int, least_gain: float) -> Iterator[ViewPlan | None]:
         """Views from a pose (4, 4) one by one, as each costs a cast of rays.
@@ -87,7 +85,7 @@ class ViewPlanner:
             for bend in self._bends(seen.bend_rad):
                 found = self._pose(T, seen.bend_rad, bend, advance)
                 if found is not None:
-                    cost = _TIME_MM * self.space.scale + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
+                    cost = self.time_mm + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
                     least = max(least_gain, 0.0 if best is None else best.worth * cost)
                     gain = float(area[self.coverage.in_view(found, unseen)].sum())
                     if gain > least and off_mm > 0:  # what is surely in view is asked only where it may matter

@@ -12,7 +12,8 @@ class AutonomySettings:
     """What autonomy does and how carefully; mm at the kidney's scale 1.
 
     ``turn_per_s`` and ``ahead_mm`` were chosen on one phantom, ``slack_mm``, ``resistance_mm``, ``attempts`` on five,
-    by ``python -m benchmarks.exploring half=choosing pose=true set=NAME=VALUE,...``; the others were set, not varied.
+    ``view_time_mm`` on ten, by ``python -m benchmarks.exploring half=choosing pose=true set=NAME=VALUE,...``; the
+    others were set, not varied.
 
     Attributes:
         mode: ``explore`` moves everything; ``assist`` bends, and the person inserts.
@@ -36,6 +37,7 @@ class AutonomySettings:
         inspect_s: a calyx whose wall is not seen after so long is left as it is.
         done_share: part of a calyx's wall, of what the scope can see of it, that must be seen.
         least_gain: part of it that another view must add to be worth going to.
+        view_time_mm: going to a view costs the way there, and so much of way for the time that it takes.
         glare: share of a picture too bright to see anything from which on the wall is too near.
     """
 
@@ -63,6 +65,7 @@ class AutonomySettings:
     inspect_s: float = 30.0
     done_share: float = 0.9
     least_gain: float = 0.015
+    view_time_mm: float = 20.0
     glare: float = 0.5
 
     def __post_init__(self) -> None:

@@ -15,6 +15,12 @@ Array = NDArray[np.float64]
 
 #: Hypotheses that somebody may want to look at: as many as a page can draw.
 PLACES = 48
+#: Poses weighed at a time, so that what is made on the way stays in the second-level cache.
+_AT_ONCE = 256
+#: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
+_JUMP_DENSITY = 1e-5
+#: Heavy tail of the turn: what any turn is worth beside none, for a tip that is let go whirls round in one picture.
+_ANY_TURN = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +148,3 @@ def _tail(x: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
     np.sqrt(x, out=x)
     np.subtract(1, x, out=x)
     return np.exp(x, out=x)
-
-
-#: Poses weighed at a time, so that what is made on the way stays in the second-level cache.
-_AT_ONCE = 256
-#: A jump's density against that of a step of no length: one place of a thousand, one direction of a hundred.
-_JUMP_DENSITY = 1e-5
-#: Heavy tail of the turn: what any turn is worth beside none, for a tip that is let go whirls round in one picture.
-_ANY_TURN = 0.01
