@@ -7,17 +7,19 @@ import numpy as np
 import pytest
 
 from ursnav_torch.autonomy import AutonomySettings, Perception
+from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.steering import Steering, Way
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import look_along
 from ursnav_torch.kinematics import Segment
+from ursnav_torch.stones import GONE, THERE, FoundStone
 
 SEEN = Perception(0.0)
 
 
 @pytest.fixture(scope="module")
 def steering(phantom_lumen):
-    return Steering(phantom_lumen, Segment(), AutonomySettings())
+    return Steering(FreeSpace(phantom_lumen), Segment(), AutonomySettings())
 
 
 @pytest.mark.parametrize("calyx", range(6))
@@ -50,6 +52,16 @@ def test_along_the_way_it_goes_on_and_off_it_it_only_turns(phantom, steering):
     aside = steering.advance(SEEN, on_the_way(way, 3.0, 1.0), way)
     assert ahead.insertion_mm_s > 2.0 and np.linalg.norm(ahead.bend_rad_s) < 0.1
     assert aside.insertion_mm_s == 0.0 and aside.bend_rad_s[1] < -0.5, "back about y, the way that it looked aside"
+
+
+@pytest.mark.parametrize(("state", "slows"), [(THERE, True), (GONE, False)])
+def test_it_goes_slower_towards_a_stone_that_is_told_of(phantom, phantom_lumen, state, slows):
+    way, space, size = Way(phantom, 5), FreeSpace(phantom_lumen), 2.0
+    T, steering = on_the_way(way, 3.0), Steering(space, Segment(), AutonomySettings())
+    free = steering.advance(SEEN, T, way).insertion_mm_s
+    center = T[:3, 3] + (1.2 + size / 2) * T[:3, 2]
+    space.stones = (FoundStone(1, 5, center, 0.01 * np.eye(3), size, 0.2, 9, 0.99, state, 0),)
+    assert (steering.advance(SEEN, T, way).insertion_mm_s < 0.5 * free) is slows
 
 
 def test_it_goes_slower_the_less_it_knows_where_it_is(steering):
@@ -139,7 +151,7 @@ def test_in_a_neck_it_steers_for_what_lies_straight_ahead_and_elsewhere_cuts_cor
     far, narrow = way.point_at(way.place_mm(T[:3, 3]) + steering.settings.ahead_mm), Way(phantom, CALYX)
     narrow.radius_mm = np.full_like(way.radius_mm, 1.2)
     walls = Walls(phantom_lumen, (T[:3, 3] + far) / 2)
-    tight = replace(steering, lumen=walls)
+    tight = replace(steering, space=walls)
     way.radius_mm = np.full_like(way.radius_mm, 5.0)
     np.testing.assert_allclose(tight.goal(T, way), far)
     nearer = tight.goal(T, narrow)
@@ -182,5 +194,5 @@ def test_it_does_not_turn_where_its_tip_would_have_to_bend_too_far(phantom, stee
     way = Way(phantom, CALYX)
     T = on_the_way(way, 3.0)
     T[:3, :3] = T[:3, :3] @ np.diag([1.0, -1.0, -1.0])  # it looks back
-    wide = replace(steering, lumen=Walls(steering.lumen, [99.0, 99.0, 99.0]))
+    wide = replace(steering, space=Walls(steering.space, [99.0, 99.0, 99.0]))
     assert not wide.can_turn_into(replace(SEEN, bend_rad=np.array([1.5, 0.0])), T, way)

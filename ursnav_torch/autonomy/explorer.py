@@ -74,7 +74,8 @@ class Explorer:
         self.settings = s = scaled(settings or AutonomySettings(), self._unit)
         self._limits = limits or ScopeLimits()
         segment = segment or Segment()
-        self._steering, self._space = Steering(lumen, segment, s), FreeSpace(lumen)
+        self._space = FreeSpace(lumen)
+        self._steering = Steering(self._space, segment, s)
         most_bent = np.radians(self._limits.largest_bend_deg)
         self._planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent, s.view_time_mm)
         self.machine, self.target = StateMachine(), -1

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.perception import Perception, Wish
 from ursnav_torch.autonomy.settings import AutonomySettings
 from ursnav_torch.exploration.route import along
 from ursnav_torch.geometry import inverse
-from ursnav_torch.kidney import Kidney, LumenDistance
+from ursnav_torch.kidney import Kidney
 from ursnav_torch.kinematics import Segment, turn_towards
 
 Array = NDArray[np.float64]
@@ -88,12 +89,12 @@ class Steering:
     """Steers a scope in one kidney; all lengths in mm of this kidney.
 
     Attributes:
-        lumen: its walls.
+        space: what is free of walls and stones.
         segment: the scope's bending tip.
         settings: how carefully.
     """
 
-    lumen: LumenDistance
+    space: FreeSpace
     segment: Segment
     settings: AutonomySettings
 
@@ -103,7 +104,7 @@ class Steering:
         goal = self.goal(T, way)
         cosine = self._cosine(T, goal)
         speed = self.settings.advance_mm_s * max(0.0, (cosine - _ASKEW) / (1 - _ASKEW))
-        kept = self._kept_mm(way, at + _LOOK_MM * self.lumen.scale)
+        kept = self._kept_mm(way, at + _LOOK_MM * self.space.scale)
         return Wish(self.turn(seen, T, goal), speed * self.sureness(seen) * self.freedom(T, kept))
 
     def retreat(self, seen: Perception, T: Array, way: Way) -> Wish:
@@ -128,7 +129,7 @@ class Steering:
         goals = np.stack([way.point_at(at + ahead * part) for part in _AHEADS])
         room = self._room_mm(place + _SHARES[:, None, None] * (goals - place)).min(axis=0)
         needed = np.array([self._kept_mm(way, at + ahead * part) for part in _AHEADS])
-        free = room >= np.minimum(needed, float(self.lumen.clearance_mm(place[None])[0]))
+        free = room >= np.minimum(needed, float(self.space.clearance_mm(place[None])[0]))
         return np.asarray(goals[int(free.argmax()) if free.any() else -1])
 
     def can_turn_into(self, seen: Perception, T: Array, way: Way) -> bool:
@@ -153,8 +154,8 @@ class Steering:
         return min(self.settings.clearance_mm, _NECK_SHARE * way.radius_at(at_mm))
 
     def _room_mm(self, points_mm: Array) -> Array:
-        """Distances (...) to the wall of points (..., 3)."""
-        return self.lumen.clearance_mm(points_mm.reshape(-1, 3)).reshape(points_mm.shape[:-1])
+        """Distances (...) to the nearest wall or stone of points (..., 3)."""
+        return self.space.clearance_mm(points_mm.reshape(-1, 3)).reshape(points_mm.shape[:-1])
 
     def turn(self, seen: Perception, T: Array, goal_mm: Array) -> Array:
         """Bend rates (2,) that bring the optical axis of a pose (4, 4) towards a point (3,)."""
@@ -175,9 +176,9 @@ class Steering:
 
         Nothing of it is left where that wall is near and faces the scope; along a wall at a slant it creeps on.
         """
-        step = _LOOK_MM * self.lumen.scale
+        step = _LOOK_MM * self.space.scale
         ahead = T[:3, 3] + T[:3, 2] * step
-        here, there = self.lumen.clearance_mm(np.stack([T[:3, 3], ahead]))
+        here, there = self.space.clearance_mm(np.stack([T[:3, 3], ahead]))
         if there >= here:  # whoever gets away from the wall may
             return 1.0
         facing = (here - there) / step  # the cosine of the angle between the axis and the wall's normal
