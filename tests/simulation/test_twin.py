@@ -225,6 +225,15 @@ def test_a_pilot_that_hands_over_only_holds_the_button_once_it_is_in_a_calyx(pha
         assert hands.dead_man and not (hands.bend_x or hands.bend_y or hands.insertion)
 
 
+def test_who_leads_in_for_autonomy_goes_back_from_what_can_be_felt(monkeypatch, phantom, phantom_lumen, renderer):
+    monkeypatch.setattr(Twin, "pressed_mm", property(lambda twin: 0.5))
+    for hands_over, pushes in ((False, True), (True, False)):
+        with TwinPilot(make_twin(World(phantom, renderer, phantom_lumen)), phantom) as pilot:
+            pilot.hands_over = hands_over
+            hands = [pilot.read() for _ in range(3)]
+            assert (hands[-1].insertion >= 0) == pushes
+
+
 def test_breath_moves_the_scope_as_far_as_walls_allow_and_is_none_of_its_own_way():
     offset = np.array([2.0, 0.0, 0.0])
     twin = Twin(in_a_tube, black, START, RIGID, breathing=lambda: offset)

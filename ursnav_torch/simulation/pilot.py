@@ -15,6 +15,8 @@ from ursnav_torch.simulation.twin import Twin
 AHEAD_MM, NEAR_MM = 3.5, 5.0
 PATIENCE_S = 12.0
 FULL_STICK_RAD = 0.35
+#: Who leads a scope in for autonomy feels a shaft that is compressed by more, and pushes no further.
+FELT_MM = 0.3
 
 
 @dataclass(slots=True)
@@ -31,7 +33,7 @@ class TwinPilot(Gamepad):
 
     A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`. Where autonomy
     is to fly, it steers into the first calyx, where the tracker finds its place, and from then on only holds the
-    dead-man button: `hands_over` is True.
+    dead-man button: `hands_over` is True. Then it gives a calyx up as soon as it feels that something is in the way.
 
     Args:
         twin: the scope to fly; its motors are moved through the robot like an operator's.
@@ -89,7 +91,7 @@ class TwinPilot(Gamepad):
         if np.linalg.norm(T[:3, 3] - goal.way_mm[-1]) < NEAR_MM:
             self.visited.append(goal.name)
             self._entering = False
-        elif stamp.t_mono_s - goal.begun_s > PATIENCE_S:
+        elif stamp.t_mono_s - goal.begun_s > PATIENCE_S or (self.hands_over and self.twin.pressed_mm > FELT_MM):
             self._entering = False
         target = _ahead(goal.way_mm, T[:3, 3])
         direction = T[:3, :3].T @ (target - T[:3, 3])
