@@ -69,6 +69,28 @@ def in_state(explorer, seen, state):
     return seen
 
 
+def test_who_was_led_into_a_calyx_comes_back_out_of_it_first(explorer, at_root):
+    explorer.leave_out(0, "it is where the operator led")
+    T = at_root.T_kidney_camera.copy()
+    T[:3, 3] = explorer._ways[0].points_mm[-3]
+    led_in = replace(at_root, T_kidney_camera=T, insertion_mm=20.0)
+    for n in range(1, 6):
+        wish = explorer.step(later(led_in, 0.1 * n), HELD)
+    assert explorer.machine.state is State.RETREATING and explorer.target != 0
+    assert wish.insertion_mm_s < 0
+
+
+def test_where_the_operator_took_the_scope_meanwhile_is_seen_anew(explorer, at_root):
+    seen = in_state(explorer, at_root, State.APPROACHING)
+    explorer.step(later(seen, 0.1), Permission(held=False, armed=True))
+    elsewhere = (explorer.target + 3) % 6
+    T = seen.T_kidney_camera.copy()
+    T[:3, 3] = explorer._ways[elsewhere].points_mm[-3]
+    for n in range(2, 6):
+        wish = explorer.step(later(seen, 0.1 * n, T_kidney_camera=T, insertion_mm=20.0), HELD)
+    assert explorer.machine.state is State.RETREATING and wish.insertion_mm_s < 0
+
+
 @pytest.mark.parametrize("state", sorted(MOVING))
 @pytest.mark.parametrize("end", ["released", "stopped", "disarmed", "no place", "doubt", "silence", "two calyces"])
 def test_in_every_state_of_motion_whatever_ends_it_ends_it_at_once(explorer, at_root, state, end):

@@ -30,6 +30,14 @@ def test_a_place_on_the_way_is_found_where_it_is(phantom, calyx):
     np.testing.assert_allclose(way.point_at(1e9), phantom.calyces[calyx].tip_mm)
 
 
+def test_how_far_beside_the_way_a_place_is(phantom):
+    way, other = Way(phantom, 0), Way(phantom, 5)
+    assert way.away_mm(way.point_at(4.0)) == pytest.approx(0.0, abs=1e-9)
+    tip = phantom.calyces[0].tip_mm
+    assert way.away_mm(tip) == pytest.approx(0.0, abs=1e-9)
+    assert other.away_mm(tip) == pytest.approx(np.linalg.norm(other.points_mm - tip, axis=1).min(), abs=0.5)
+
+
 def test_ways_share_what_lies_before_their_branching(phantom):
     one, other = Way(phantom, 0), Way(phantom, 5)
     shared = one.shared_mm(other)

@@ -82,7 +82,7 @@ class Explorer:
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
         self._find_bars(())
-        self._way: Way | None = None  # along which the scope came
+        self._way: Way | None = None  # along which the scope came; None where somebody else led it in
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
         self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
@@ -156,6 +156,7 @@ class Explorer:
         elif state is State.STOPPED or not (may.held and may.armed):
             self._to(State.WAITING, seen, "the dead-man button is not held" if may.armed else "the robot is not armed")
         elif state is State.WAITING:
+            self._way = None
             self._to(State.LOOKING, seen, "begins")
 
     def _doubt(self, seen: Perception) -> str:
@@ -251,7 +252,7 @@ class Explorer:
     def _retreat(self, seen: Perception, T: Array) -> Wish:
         """Back along the way that the scope came, until it can turn into the way to the target."""
         to = self._ways[self.target]
-        way = self._way or to
+        way = self._way = self._way or self._way_at(T[:3, 3], to)
         at, shared = way.place_mm(T[:3, 3]), to.shared_mm(way)
         is_back = at <= max(shared - self._room_mm * (way is not to), 0.0) or self._is_out(seen)
         if is_back or (way is not to and self._steering.can_turn_into(seen, T, to)):
@@ -259,6 +260,10 @@ class Explorer:
             self._begin(seen, T)
             return Wish()
         return self._steering.retreat(seen, T, way)
+
+    def _way_at(self, place_mm: Array, to: Way) -> Way:
+        """The way that a place (3,) lies on: ``to`` where more than one leads there."""
+        return min(self._ways, key=lambda way: (way.away_mm(place_mm), way is not to))
 
     def _is_out(self, seen: Perception) -> bool:
         """Whether the shaft is all the way back."""

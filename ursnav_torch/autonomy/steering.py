@@ -68,12 +68,20 @@ class Way:
 
     def place_mm(self, position_mm: Array) -> float:
         """How far along the way a place (3,) is."""
+        return self._nearest(position_mm)[0]
+
+    def away_mm(self, position_mm: Array) -> float:
+        """How far beside the way a place (3,) is."""
+        return self._nearest(position_mm)[1]
+
+    def _nearest(self, position_mm: Array) -> tuple[float, float]:
+        """Of the way's point nearest to a place (3,): how far along it is, and how far off."""
         steps = np.diff(self.points_mm, axis=0)
         length = np.maximum(np.linalg.norm(steps, axis=1), 1e-9)
         share = np.clip(np.einsum("ij,ij->i", position_mm - self.points_mm[:-1], steps) / length**2, 0, 1)
         away = np.linalg.norm(self.points_mm[:-1] + share[:, None] * steps - position_mm, axis=1)
         nearest = int(away.argmin())
-        return float(self.along_mm[nearest] + share[nearest] * length[nearest])
+        return float(self.along_mm[nearest] + share[nearest] * length[nearest]), float(away[nearest])
 
     def point_at(self, mm: float) -> Array:
         """(3,) the point so far along the way, its end beyond it."""
