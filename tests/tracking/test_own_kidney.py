@@ -75,6 +75,16 @@ def test_a_kidney_is_in_doubt_below_the_sum_that_is_believed() -> None:
     assert not test.in_doubt and test.verdict is True
 
 
+def test_what_spoke_for_one_place_does_not_speak_for_another() -> None:
+    test = OwnKidneyTest(OwnKidneySettings())
+    test.trust = 20.0
+    test.leapt()
+    assert test.in_doubt and test.verdict is None
+    test.trust = -3.0
+    test.leapt()
+    assert test.trust == -3.0
+
+
 def test_weights_that_are_too_few_are_refused() -> None:
     with pytest.raises(InputError, match="4 weights, and 2 more in doubt"):
         OwnKidneySettings(doubt_weights=(1.0,))  # type: ignore[arg-type]

@@ -200,3 +200,18 @@ def test_features_without_maps_are_refused(phantom: Kidney, lens: Camera, plan: 
 def test_impossible_settings_are_refused() -> None:
     with pytest.raises(InputError, match="best_fitting < hypotheses"):
         FilterSettings(best_fitting=100)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_place_where_the_scope_was_not_driven_is_believed_by_its_own_evidence_alone(
+    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, told: bool
+) -> None:
+    """Pictures of another calyx while the robot says that nothing moved: the track starts anew there."""
+    for i, T in enumerate(flight(phantom, 2)):
+        fresh.step(renderer.render(T).image, i / 10, odometry=OdometryReading(0.8 * i) if told else None)
+    there = flight(phantom, 5)[-1]
+    still = OdometryReading(0.8 * i) if told else None
+    answers = [fresh.step(renderer.render(there).image, (i + n) / 10, odometry=still) for n in range(1, 21)]
+    leapt = int(np.argmax([a.T_aligned is not None and np.allclose(a.T_aligned, there, atol=0.7) for a in answers]))
+    assert (answers[leapt].state == SEARCHING and answers[leapt].T_kidney_camera is None) == told
+    assert answers[-1].state == TRACKING and answers[-1].calyx == 5

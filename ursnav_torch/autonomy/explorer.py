@@ -88,7 +88,7 @@ class Explorer:
         self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
         self._inserted = 0.0  # when the newest pictures were taken
         self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
-        self._doubts = self._hits = 0
+        self._doubts = self._hits = self._losses = 0
         self._inspected_from_s: float | None = None
         self._weighed: Iterator[ViewPlan | None] | None = None
         self._best: ViewPlan | None = None
@@ -193,9 +193,12 @@ class Explorer:
         s = self.settings
         if not doubt and seen.seen_s > self.machine.since_s:  # by a picture of where it stands now
             self._doubts = 0
-            self._go_on(seen)
+            if self.target >= 0 and self._losses >= s.attempts:
+                self._close(seen, f"the place was lost {self._losses} times on the way there")
+            else:
+                self._go_on(seen)
         elif seen.t_s - self.machine.since_s > s.look_s:
-            self._doubts += 1
+            self._doubts, self._losses = self._doubts + 1, self._losses + 1
             if self._doubts > s.withdrawals:
                 self._finish(seen, f"gave up: {doubt or self.machine.reason}")
             else:
@@ -233,7 +236,7 @@ class Explorer:
         if not order:
             self._finish(seen, "every calyx was visited")
             return
-        self.target, self._hits, self._room_mm = order[0], 0, self.settings.room_mm
+        self.target, self._hits, self._losses, self._room_mm = order[0], 0, 0, self.settings.room_mm
         self._inspected_from_s, self._view, self._weighed = None, None, None
         self._blocked, self._deepest_mm = "", 0.0
 

@@ -56,6 +56,10 @@ class OwnKidneyTest:
         gain = evidence.log_odds(s) * min(seconds, 4 * s.frame_s) / s.frame_s
         self.trust = float(np.clip(self.trust + gain, s.min_sum, s.max_sum))
 
+    def leapt(self) -> None:
+        """The place is another one: what spoke for the one before does not speak for it."""
+        self.trust = min(self.trust, 0.0)
+
     @property
     def in_doubt(self) -> bool:
         """Whether a picture's evidence needs a decoy."""

@@ -321,6 +321,10 @@ class Tracker:
             T, places = refined.T_kidney_camera, likeliest_places(found)
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T, evidence, places=places)
         T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
+        if self._state != TRACKING:
+            spent = time.perf_counter() - start
+            aligned, places = refined.T_kidney_camera, likeliest_places(found)
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
         if sensor is not None and sensor.camera_at(T) is not None:
@@ -393,6 +397,9 @@ class Tracker:
             if score < self.settings.challenger.reacquire_below:
                 return expected
             self._smooth.reset()
+            if self._step is not None:  # a robot tells that the scope cannot have got there
+                self._test.leapt()
+                self._state = SEARCHING
         T = self._smooth.update(T, t_s, score)
         at = None if sensor is None else sensor.camera_at(T)
         if sensor is not None and at is not None:
