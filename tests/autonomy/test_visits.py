@@ -84,6 +84,21 @@ def test_who_gives_up_without_a_place_has_not_tried_the_calyces_it_never_headed_
     assert {visits[c].reason for c in (target, *others[2:])} == {"gave up: no place from the pictures"}
 
 
+def test_a_calyx_on_whose_way_the_place_is_lost_again_and_again_is_left(explorer, at_root):
+    seen = begin(explorer, at_root)
+    target = explorer.target
+    for loss in range(explorer.settings.attempts):
+        assert explorer.target == target, f"left after {loss} losses"
+        while explorer.machine.state is not State.WITHDRAWING:
+            seen = later(seen, 0.5, T_kidney_camera=None)
+            explorer.step(seen, HELD)
+        while explorer.machine.state in (State.WITHDRAWING, State.LOOKING):
+            seen = later(seen, 0.1, T_kidney_camera=at_root.T_kidney_camera)
+            explorer.step(seen, HELD)
+    assert explorer.target not in (target, -1) and not explorer.finished
+    assert explorer.visits[target].reason == "the place was lost 3 times on the way there"
+
+
 def test_a_calyx_that_resists_is_not_reached_for_that_reason_and_what_was_seen_of_it_is_told(explorer, at_root):
     seen = begin(explorer, at_root)
     target = explorer.target

@@ -8,11 +8,12 @@ from stone_views import answer, ball_bodies, ball_on_wall, stone_watch, way_in
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.stones import THERE, FoundStone, StoneMap, StoneMapSettings, residual_fragments
+from ursnav_torch.stones import THERE, FoundStone, StoneMap, StoneMapSettings, residual_fragments, watch_stones
 from ursnav_torch.stones.ball import Cones, contact_depth_mm, fit_ball
 from ursnav_torch.stones.candidate import StoneCandidate
 from ursnav_torch.stones.sighting import ConeOfSight
-from ursnav_torch.tracking.tracker import SEARCHING
+from ursnav_torch.tracking.tracker import SEARCHING, Tracker
+from ursnav_torch.vid import Vid
 
 RADIUS, SD = 1.6, (0.2, 0.02)
 
@@ -115,6 +116,16 @@ def test_a_pose_that_is_not_settled_places_nothing(phantom: Kidney, phantom_lume
         told = answer(T, ball_bodies(lens, phantom_lumen, T, [(center, RADIUS)]))
         watch.see(replace(told, state=SEARCHING), np.zeros((4, 4), np.uint8), 0.3 * i, i)
     assert watch.stones.best_frames() == set() and watch.found().seen == ()
+
+
+def test_a_tracker_is_told_which_stones_hide_the_wall(vid: Vid, phantom_lumen: LumenDistance, lens: Camera) -> None:
+    tracker = Tracker(vid)
+    watch = watch_stones(tracker, StoneMapSettings(size_factor=1.0))
+    center = ball_on_wall(vid.kidney, phantom_lumen, 0, RADIUS)
+    for i, T in enumerate(way_in(vid.kidney, 0, 24)):
+        bodies = ball_bodies(tracker.working_camera, phantom_lumen, T, [(center, RADIUS)])
+        watch.see(answer(T, bodies), np.zeros((4, 4), np.uint8), 0.3 * i, i)
+    np.testing.assert_allclose(tracker.known.balls_mm, [[*center, RADIUS]], atol=0.6)
 
 
 def test_a_fragment_counts_from_above_two_mm(phantom: Kidney) -> None:

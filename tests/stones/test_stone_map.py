@@ -54,7 +54,8 @@ def test_a_stone_that_is_taken_out_is_gone(stones: StoneMap, lens: Camera) -> No
             stones.add(T, ball_bodies(lens, stones.lumen, T, balls), 100.0 * visit + 0.3 * number)
         if visit == 0:
             assert [s.state for s in stones.stones()] == [THERE]
-    assert [s.state for s in stones.stones()] == [GONE]
+            np.testing.assert_allclose(stones.balls_mm(), [[*center, RADIUS]], atol=0.6)
+    assert [s.state for s in stones.stones()] == [GONE] and stones.balls_mm().shape == (0, 4)
 
 
 def test_a_stone_behind_the_wall_is_not_missed(stones: StoneMap, lens: Camera) -> None:

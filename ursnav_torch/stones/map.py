@@ -141,6 +141,11 @@ class StoneMap:
             )  # fmt: skip
         return tuple(found)
 
+    def balls_mm(self) -> Array:
+        """(S, 4) x, y, z and radius of the stones that are told and there, as they were last computed."""
+        there = [c for c in self._candidates if c.is_told and c.log_odds > self.settings.gone]
+        return np.array([[*c.ball.center_mm, c.ball.radius_mm] for c in there]).reshape(-1, 4)
+
     def best_frames(self) -> set[int]:
         """Numbers of the pictures that show the candidates best."""
         return {c.best_frame for c in self._candidates}

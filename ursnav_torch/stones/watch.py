@@ -1,5 +1,7 @@
 """Stones as a track goes on: only poses that are believed count, and the best picture of each stone is kept."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ class StoneWatch:
     Args:
         stones: the map to be fed.
         known: stones of a scan, which those that are seen are compared with.
+        tell: called with the stones (S, 4) that are there, x, y, z and radius, after every picture taken in.
 
     Attributes:
         stones: the map.
@@ -26,8 +29,13 @@ class StoneWatch:
         pictures: by number of a picture that shows some stone best: the picture (H, W) or (H, W, 3), and its bodies.
     """
 
-    def __init__(self, stones: StoneMap, known: tuple[KnownStone, ...] = ()) -> None:
-        self.stones, self.known = stones, known
+    def __init__(
+        self,
+        stones: StoneMap,
+        known: tuple[KnownStone, ...] = (),
+        tell: Callable[[NDArray[np.float64]], None] = lambda balls_mm: None,
+    ) -> None:
+        self.stones, self.known, self._tell = stones, known, tell
         self.pictures: dict[int, tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]]] = {}
 
     def see(self, tracked: Tracked, image: NDArray[np.uint8], t_s: float, frame: int) -> None:
@@ -38,6 +46,7 @@ class StoneWatch:
         if tracked.certainty is not None:
             sd = tracked.certainty.position_sd_mm, float(np.radians(tracked.certainty.direction_sd_deg))
         self.stones.add(tracked.T_kidney_camera, tracked.bodies, t_s, frame, sd)
+        self._tell(self.stones.balls_mm())
         wanted = self.stones.best_frames()
         if frame in wanted and image.size:
             self.pictures[frame] = (image.copy(), tracked.bodies)
@@ -54,5 +63,6 @@ class StoneWatch:
 
 
 def watch_stones(tracker: Tracker, settings: StoneMapSettings, known: tuple[KnownStone, ...] = ()) -> StoneWatch:
-    """What is to be fed with a tracker's answers; ``known`` are the stones of a scan."""
-    return StoneWatch(StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings), known)
+    """What is to be fed with a tracker's answers, and tells it what hides the wall; ``known`` are a scan's stones."""
+    stones = StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings)
+    return StoneWatch(stones, known, lambda balls_mm: setattr(tracker.known, "balls_mm", balls_mm))

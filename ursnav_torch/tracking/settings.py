@@ -78,7 +78,8 @@ class ChallengerSettings:
             (`benchmarks.flights half=choosing vary=challenger.usual_drop=0.03,0.15`, and so on; places as for every_s).
         depth_step_mm: step in depth that is tried; other poses tried are half as far apart at least.
         reacquire_below: after an alignment that scores less, the track is looked for anew among all hypotheses.
-        challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent.
+        challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent; and one
+            that the robot tells the scope was not driven to is believed by new evidence alone.
         score_step: a challenger whose alignment scores better by this gains a full step.
         prior_weight: score an alignment is held back by for every e-fold that motion makes its pose less probable,
             up to ``score_step``.

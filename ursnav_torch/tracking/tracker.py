@@ -36,6 +36,7 @@ from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.decoy import Decoy, mirrored
 from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
+from ursnav_torch.tracking.hidden import KnownBodies
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
 from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
@@ -116,6 +117,7 @@ class Tracker:
 
     Attributes:
         settings: as given, lengths in mm of this kidney.
+        known: what is known to lie before the wall, wherever the scope is; told by who maps stones.
 
     Raises:
         InputError: the VID's features have no maps.
@@ -145,6 +147,7 @@ class Tracker:
         if not views.scans:
             raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
         self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion.spacing_mm)
+        self.known = KnownBodies(self.lumen, vid.kidney.scale)
         self._decoy = Decoy(self._filter, self._refiner, self.lumen, s, vid.kidney.scale)
         self.reset()
 
@@ -269,7 +272,15 @@ class Tracker:
             self._aligned = None
             return self._bridge(t_s, start)
         with torch.inference_mode(), one_thread_an_operation():
-            return replace(self._follow(features, t_s, sensor, start), bodies=features.bodies)
+            return replace(self._follow(self._left_out(features), t_s, sensor, start), bodies=features.bodies)
+
+    def _left_out(self, features: Features) -> Features:
+        """Features without what is known to hide the wall from where a track goes on."""
+        belief = self._smooth.belief if self._state == TRACKING else None
+        if belief is None:
+            return features
+        T = belief.pose() if self._step is None else belief.pose() @ self._step.T_before_now
+        return self.known.left_out(features, T, self.working_camera, self._extractor.lens_mask)
 
     def _carry(self, t_s: float, odometry: OdometryReading | None) -> None:
         """Take in what the robot says by now, if it says anything."""
@@ -397,7 +408,7 @@ class Tracker:
             if score < self.settings.challenger.reacquire_below:
                 return expected
             self._smooth.reset()
-            if self._step is not None:  # a robot tells that the scope cannot have got there
+            if self._step is not None and score < self.settings.challenger.challenge_below:  # nor was it driven there
                 self._test.leapt()
                 self._state = SEARCHING
         T = self._smooth.update(T, t_s, score)
