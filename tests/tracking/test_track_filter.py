@@ -18,7 +18,7 @@ from ursnav_torch.tracking.motion import Hypotheses, Since
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.pursuit import expected
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.settings import FilterSettings
+from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid, build_vid
 
@@ -202,16 +202,18 @@ def test_impossible_settings_are_refused() -> None:
         FilterSettings(best_fitting=100)
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize(("told", "well"), [(True, 1.1), (True, 0.5), (False, 1.1)])
 def test_a_place_where_the_scope_was_not_driven_is_believed_by_its_own_evidence_alone(
-    fresh: Tracker, phantom: Kidney, renderer: RaycastRenderer, told: bool
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, told: bool, well: float
 ) -> None:
-    """Pictures of another calyx while the robot says that nothing moved: the track starts anew there."""
+    """Pictures of another calyx while the robot says that nothing moved: where they fit badly the track starts anew."""
+    tracker = Tracker(vid, TrackSettings(challenger=ChallengerSettings(challenge_below=well)))
     for i, T in enumerate(flight(phantom, 2)):
-        fresh.step(renderer.render(T).image, i / 10, odometry=OdometryReading(0.8 * i) if told else None)
+        tracker.step(renderer.render(T).image, i / 10, odometry=OdometryReading(0.8 * i) if told else None)
     there = flight(phantom, 5)[-1]
     still = OdometryReading(0.8 * i) if told else None
-    answers = [fresh.step(renderer.render(there).image, (i + n) / 10, odometry=still) for n in range(1, 21)]
+    answers = [tracker.step(renderer.render(there).image, (i + n) / 10, odometry=still) for n in range(1, 21)]
     leapt = int(np.argmax([a.T_aligned is not None and np.allclose(a.T_aligned, there, atol=0.7) for a in answers]))
-    assert (answers[leapt].state == SEARCHING and answers[leapt].T_kidney_camera is None) == told
+    anew = told and well > 1
+    assert (answers[leapt].state == SEARCHING and answers[leapt].T_kidney_camera is None) == anew
     assert answers[-1].state == TRACKING and answers[-1].calyx == 5

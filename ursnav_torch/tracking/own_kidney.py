@@ -58,7 +58,7 @@ class OwnKidneyTest:
 
     def leapt(self) -> None:
         """The place is another one: what spoke for the one before does not speak for it."""
-        self.trust = min(self.trust, 0.0)
+        self.trust = min(self.trust, self._settings.after_leap)
 
     @property
     def in_doubt(self) -> bool:
