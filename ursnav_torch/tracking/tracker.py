@@ -326,16 +326,13 @@ class Tracker:
         if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         self._remember(found, refined.T_kidney_camera, t_s)
+        if self._state == TRACKING:
+            T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
         if self._state != TRACKING:
             self._smooth.reset()
             spent = time.perf_counter() - start
             T, places = refined.T_kidney_camera, likeliest_places(found)
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T, evidence, places=places)
-        T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
-        if self._state != TRACKING:
-            spent = time.perf_counter() - start
-            aligned, places = refined.T_kidney_camera, likeliest_places(found)
-            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
         if sensor is not None and sensor.camera_at(T) is not None:
