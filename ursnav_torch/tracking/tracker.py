@@ -36,11 +36,10 @@ from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.decoy import Decoy, mirrored
 from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
-from ursnav_torch.tracking.hidden import KnownBodies
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
 from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
 from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
-from ursnav_torch.tracking.pattern import ScopePattern
+from ursnav_torch.tracking.pattern import KnownBodies, ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings

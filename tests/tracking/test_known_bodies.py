@@ -9,7 +9,7 @@ from ursnav_torch.camera import Camera
 from ursnav_torch.features import NO_EDGES, NO_MAPS, NOTHING_BEFORE, Features
 from ursnav_torch.geometry import apply
 from ursnav_torch.kidney import Kidney, LumenDistance
-from ursnav_torch.tracking.hidden import KnownBodies
+from ursnav_torch.tracking.pattern import KnownBodies
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
 
