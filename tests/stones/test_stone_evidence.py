@@ -118,6 +118,23 @@ def test_a_pose_that_is_not_settled_places_nothing(phantom: Kidney, phantom_lume
     assert watch.stones.best_frames() == set() and watch.found().seen == ()
 
 
+@pytest.mark.parametrize(("alike_mm", "shrinks"), [(0.5, False), (0.0, True)])
+def test_of_pictures_from_one_place_the_one_that_shows_most_tells_the_size(
+    phantom: Kidney, phantom_lumen: LumenDistance, lens: Camera, alike_mm: float, shrinks: bool
+) -> None:
+    """The finder sees all of a stone once, and less of it for as long as the scope stands still before it."""
+    stones = StoneMap(phantom, phantom_lumen, lens, StoneMapSettings(size_factor=1.0, alike_mm=alike_mm))
+    center = ball_on_wall(phantom, phantom_lumen, 0, RADIUS)
+    ways = [(T, ball_bodies(lens, phantom_lumen, T, [(center, RADIUS)])) for T in way_in(phantom, 0, 24)]
+    all_of_it = [(T, b) for T, b in ways if b and ConeOfSight(lens).sightings(b)[0].is_whole]
+    T, whole = max(all_of_it, key=lambda way: way[1][0].share)
+    less = ball_bodies(lens, phantom_lumen, T, [(center, 0.5 * RADIUS)])
+    for frame in range(30):
+        stones.add(T, less if frame % 10 else whole, 0.3 * frame, frame, SD)
+    (found,) = stones.stones()
+    assert (found.size_mm < 1.5 * RADIUS) == shrinks
+
+
 def test_a_tracker_is_told_which_stones_hide_the_wall(vid: Vid, phantom_lumen: LumenDistance, lens: Camera) -> None:
     tracker = Tracker(vid)
     watch = watch_stones(tracker, StoneMapSettings(size_factor=1.0))

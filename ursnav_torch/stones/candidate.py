@@ -22,9 +22,14 @@ View = tuple[Array, Array, StoneSighting, float, float]
 
 
 class _Views:
-    """A stone's sightings, not all of many: ``whole`` ones, and ``parts`` that the picture's edge cuts."""
+    """A stone's sightings, not all of many: ``whole`` ones, and ``parts`` that the picture's edge cuts.
 
-    def __init__(self) -> None:
+    Pictures from one place err alike, and most see too little of a stone: of those within ``alike_mm`` of each other
+    the one stays that shows most of it.
+    """
+
+    def __init__(self, alike_mm: float) -> None:
+        self._alike_mm = alike_mm
         self.whole: list[View] = []
         self.parts: list[View] = []
         self._seen, self._stride = 0, 1
@@ -34,6 +39,10 @@ class _Views:
         if not view[2].is_whole:
             self.parts = [*self.parts, view][-_MOST_PARTS:]
             return
+        for n, kept in enumerate(self.whole):
+            if np.linalg.norm(view[0] - kept[0]) < self._alike_mm:
+                self.whole[n] = max(kept, view, key=lambda v: v[2].half_angle)
+                return
         if self._seen % self._stride == 0:
             self.whole.append(view)
         self._seen += 1
@@ -64,7 +73,7 @@ class StoneCandidate:
         self.log_odds, self.best_odds, self.pictures, self.number = 0.0, -np.inf, 0, 0
         self.apart: dict[int, int] = {}
         self.best_frame, self._best = -1, 0.0
-        self._views = _Views()
+        self._views = _Views(settings.alike_mm)
         self._fitted = 0
 
     def see(self, T: Array, seen: StoneSighting, sd: tuple[float, float], frame: int, weight: float) -> None:

@@ -16,6 +16,7 @@ class StoneMapSettings:
         angle_share: standard deviation of a sighting's apparent radius, as a share of it.
         contact_mm, contact_share: standard deviation of the gap between stone and wall: fixed, and per mm of radius.
         alike: so many pictures of a stone say as much as one, as their faults are alike.
+        alike_mm: of pictures from within this of each other the one tells place and size that shows most of the stone.
         gate: a sighting is of a stone where it lies within this share of their apparent radii.
         independent_s: pictures count whole from this long after the one before.
         hit: share of a sighting's log odds that counts, as pictures of one place err alike.
@@ -37,6 +38,7 @@ class StoneMapSettings:
     contact_mm: float = 0.3
     contact_share: float = 0.15
     alike: float = 4.0
+    alike_mm: float = 0.5
     gate: float = 0.8
     independent_s: float = 0.25
     hit: float = 1.0
