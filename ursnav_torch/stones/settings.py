@@ -16,7 +16,8 @@ class StoneMapSettings:
         angle_share: standard deviation of a sighting's apparent radius, as a share of it.
         contact_mm, contact_share: standard deviation of the gap between stone and wall: fixed, and per mm of radius.
         alike: so many pictures of a stone say as much as one, as their faults are alike.
-        alike_mm: of pictures from within this of each other the one tells place and size that shows most of the stone.
+        alike_mm: of pictures from within this of each other the one tells place and size that shows most of the stone;
+            0.5 and 1 find 27 of the 27 choosing stones that were shown, and 0 finds 26 (``vary=alike_mm=0,0.5,1``).
         gate: a sighting is of a stone where it lies within this share of their apparent radii.
         independent_s: pictures count whole from this long after the one before.
         hit: share of a sighting's log odds that counts, as pictures of one place err alike.
