@@ -6,6 +6,7 @@
     python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
     python -m benchmarks.flights work=DIR other=true            # every flight in the next kidney's VID: ends lost?
     python -m benchmarks.flights work=DIR odometry=true         # with what the robot reports
+    python -m benchmarks.flights work=DIR half=choosing breathless=true   # and without breathing, all else equal
     python -m benchmarks.flights work=DIR half=choosing fit=true          # how far off poses are, learned anew
     python -m benchmarks.flights work=DIR half=choosing fit=true save=true    # and stored with the package
 
@@ -16,6 +17,7 @@ change of code or settings, and scored anew at every call. ``vary`` takes choosi
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ from ursnav_torch.errors import InputError
 SETTINGS = {
     "phantoms": 8, "views": 60, "around": 8.0, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
     "other": False, "odometry": False, "fit": False, "save": False,
-    "only": "", "out": "",
+    "breathless": False, "only": "", "out": "",
 }  # fmt: skip
 
 
@@ -47,9 +49,11 @@ def main(arguments: list[str]) -> None:
     report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
+        plain = Choice(other=settings["other"], odometry=settings["odometry"])
         choices = [
-            Choice(other=settings["other"], odometry=settings["odometry"]),
-            *Choice.varied(settings["vary"]),
+            plain,
+            *plain.varied(settings["vary"]),
+            *([replace(plain, breathless=True)] if settings["breathless"] else []),
             *([Choice(odometry=True)] if settings["fit"] else []),
         ]
         records: dict[Choice, list[Record]] = {choice: [] for choice in choices}
@@ -58,7 +62,8 @@ def main(arguments: list[str]) -> None:
     for choice, found in records.items():
         (add_refusals if choice.other else add_scores)(report, str(choice), found)
     if settings["fit"]:
-        fit_position(report, {str(choice): found for choice, found in records.items()}, settings["save"])
+        kinds = {"position_told" if choice.odometry else "position": found for choice, found in records.items()}
+        fit_position(report, kinds, settings["save"])
     report.finish(settings["out"])
 
 
@@ -80,8 +85,8 @@ def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) ->
             there = vid_for(first[following], settings["views"], settings["around"], work, data)
             around = there.lumen
         for case in (c for c in cases if c.kidney == kidney):
-            seen = flown(case, vid, lumen, settings["pictures"], work)
             for choice in choices:
+                seen = flown(case, vid, lumen, settings["pictures"], work, breathless=choice.breathless)
                 yield choice, tracked(seen, there, around, choice)
             print(f"{case.name}: severity {case.severity:g}", file=sys.stderr, flush=True)
 

@@ -87,7 +87,8 @@ def _learn(report: Report, settings: dict[str, Any], work: Path) -> None:
         if (
             packaged is not None and packaged.track is not None
         ):  # flights that go wrong, too, teach how far off a track is
-            track = packaged.track if track is None else replace(track, position=packaged.track.position)
+            kept = packaged.track
+            track = kept if track is None else replace(track, position=kept.position, position_told=kept.position_told)
         every = {how: _every(report, how, settings, work) for how in ("refined", "nearest")}
         save_packaged(Packaged(current_settings(), every["refined"], every["nearest"], track))
         print("stored with the package", file=sys.stderr)

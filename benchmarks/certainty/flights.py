@@ -18,7 +18,7 @@ from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.localization import LEARNED_FROM
 from ursnav_torch.localization.certainty import LEVELS
 from ursnav_torch.localization.fitting import fit_quantile
-from ursnav_torch.localization.learned import TrackWeights
+from ursnav_torch.localization.learned import PositionErrors, TrackWeights
 from ursnav_torch.rendering.sensor import draw_faults, simulate
 from ursnav_torch.tracking.certainty import TrackEvidence, track_certainty
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
@@ -54,7 +54,9 @@ def fit_track(rows: Sequence[dict[str, Any]]) -> TrackWeights:
     )
     rank = [int(np.floor((len(own) + 1) * (1 - level))) - 1 for level in LEVELS]
     shares = tuple(float(np.clip(own[max(r, 0)], _LEAST, 0.5)) for r in rank)
-    return TrackWeights(shares, _three(position), _three(direction))
+    region_sd = float(np.quantile(np.array([row["mm"] for row in rows]) / np.exp(away @ position), 0.9))
+    errors = PositionErrors(_three(position), round(region_sd, 3))  # no robot was heard: its word changes nothing
+    return TrackWeights(shares, errors, errors, _three(direction))
 
 
 def _rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[str, Any]]:
@@ -90,7 +92,7 @@ def _flown(vid: Vid, seed: int, pictures: int) -> list[dict[str, Any]]:
 
 
 def _tell(report: Report, rows: Sequence[dict[str, Any]], weights: TrackWeights, probability: float) -> None:
-    told = [track_certainty(_evidence(row), weights, probability, 1.0) for row in rows]
+    told = [track_certainty(_evidence(row), weights, weights.position, probability, 1.0) for row in rows]
     group, count = "track: phantoms never seen", len(rows)
     for name, values in (
         ("right calyx", [t.calyces[0] == row["true"] for t, row in zip(told, rows, strict=True)]),

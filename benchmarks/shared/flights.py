@@ -117,9 +117,11 @@ def phantom_of(case: Case) -> Kidney:
     return make_phantom_kidney(case.seed, calyces=6 + case.seed % 4)
 
 
-def flown(case: Case, vid: Vid, lumen: LumenDistance, pictures: int, work: Path) -> Flown:
-    """A case's flight, drawn on the first call and read from disk on the others."""
+def flown(case: Case, vid: Vid, lumen: LumenDistance, pictures: int, work: Path, *, breathless: bool = False) -> Flown:
+    """A case's flight, drawn on the first call and read from disk on the others; ``breathless``: all else is equal."""
     settings, scope = _drawn(case, pictures)
+    if breathless:
+        settings = replace(settings, breathing_mm=0.0)
     key = hashlib.sha256(repr((case, settings, scope)).encode()).hexdigest()[:8]
     folder = work / f"{case.name}_{key}"
     if not (folder / "flight.npz").exists():

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,20 @@ SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(Tra
 ALIGNMENT = "alignment"
 #: Columns of `Record.told`: score of the alignment; score as taken, lead and fit of the evidence; standard deviation of
 #: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed;
-#: score of the evidence's decoy.
-TOLD = ("score", "plain", "lead", "fit", "sd_mm", "spread_mm", "spread_deg", "share", "smoothed_mm", "decoy")
+#: score of the evidence's decoy; radius of the region that holds the position with 90 %.
+TOLD = (
+    "score",
+    "plain",
+    "lead",
+    "fit",
+    "sd_mm",
+    "spread_mm",
+    "spread_deg",
+    "share",
+    "smoothed_mm",
+    "decoy",
+    "region_mm",
+)
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")
 
 
@@ -38,21 +50,22 @@ _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracki
 class Choice:
     """Settings of a track: overrides of the `Tracker`'s groups by name, as ``(group, name, value)``.
 
-    ``other`` says that the VID is another kidney's, ``odometry`` that the robot is heard.
+    ``other`` says that the VID is another kidney's, ``odometry`` that the robot is heard, ``breathless`` that the lumen
+    does not slide past the scope as the patient breathes.
     """
 
     overrides: tuple[tuple[str, str, str], ...] = ()
     other: bool = False
     odometry: bool = False
+    breathless: bool = False
 
-    @classmethod
-    def varied(cls, text: str) -> list["Choice"]:
-        """``group.name=value,value`` as one choice a value; none of an empty text."""
+    def varied(self, text: str) -> list["Choice"]:
+        """This with ``group.name=value,value`` as one choice a value; none of an empty text."""
         if not text:
             return []
         path, values = named_values(text)
         group, _, name = path.partition(".")
-        return [cls(((group, name, value),)) for value in values]
+        return [replace(self, overrides=((group, name, value),)) for value in values]
 
     def groups(self) -> dict[str, Any]:
         """Arguments for the `Tracker`."""
@@ -69,6 +82,7 @@ class Choice:
     def __str__(self) -> str:
         parts = [f"{g}.{n}={v}" for g, n, v in self.overrides] or ["as set"]
         parts += ["in another kidney's VID"] * self.other + ["with odometry"] * self.odometry
+        parts += ["without breathing"] * self.breathless
         return ", ".join(parts)
 
 
@@ -82,7 +96,7 @@ class Record:
         T: (N, 4, 4) nan where there is none.
         calyx, true_calyx: (N,) indices, -1 for none.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        told: (N, 10) what the answers say of themselves, see `TOLD`; nan where they say nothing.
+        told: (N, 11) what the answers say of themselves, see `TOLD`; nan where they say nothing.
     """
 
     flown: Flown
@@ -147,13 +161,14 @@ def _told(answer: Tracked) -> list[float]:
     """What an answer says of itself, see `TOLD`."""
     found, sure, T, aligned = answer.evidence, answer.certainty, answer.T_kidney_camera, answer.T_aligned
     seen = [np.nan] * 3 if found is None else [found.score, found.lead, found.fit]
-    known = [np.nan] * 4
+    known, region = [np.nan] * 4, np.nan
     if sure is not None:
         e = sure.evidence
         known = [sure.position_sd_mm, e.spread_mm, e.spread_deg, float(e.share[e.calyx])]
+        region = sure.region_mm
     off = np.nan if T is None or aligned is None else float(np.linalg.norm(T[:3, 3] - aligned[:3, 3]))
     decoy = np.nan if found is None or found.decoy is None else found.decoy
-    return [answer.score, *seen, *known, off, decoy]
+    return [answer.score, *seen, *known, off, decoy, region]
 
 
 def sources(rooms: tuple[str, ...]) -> str:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from benchmarks.shared.results import Report
 from benchmarks.shared.track_records import TOLD, Record
-from ursnav_torch.tracking.certainty import REGION_90
 from ursnav_torch.tracking.tracker import LOST, TRACKING
 
 Array = NDArray[np.float64]
@@ -21,14 +20,19 @@ def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
     off = np.concatenate([r.off_mm for r in records])
     n, known = len(on), on & np.isfinite(off)
     report.add(group, "a place (tracking)", "%", [100 * on.mean()], n=n)
+    since = np.concatenate([np.logical_or.accumulate(r.state == TRACKING) for r in records])
+    report.add(group, "a place, once there was one", "%", [100 * float(on[since].mean())], n=int(since.sum()))
+    _add_causes(report, group, records)
     report.add(
         group, "tracking, yet more than 3 mm off", "%", [100 * float((off[known] > FAR_MM).mean())], n=int(on.sum())
     )
     report.add(group, "position", "mm", off[known].tolist())
     report.add(group, "position, 90th percentile", "mm", [float(np.percentile(off[known], 90))], n=int(on.sum()))
-    region = REGION_90 * np.concatenate([r.told[:, TOLD.index("sd_mm")] for r in records])
-    held = off[known] <= region[known]
-    report.add(group, "90 % region holds the truth", "%", [100 * float(held.mean())], n=int(known.sum()))
+    held = off <= np.concatenate([r.told[:, TOLD.index("region_mm")] for r in records])
+    fog = np.concatenate([r.flown.fogged for r in records])
+    for where, at in (("", known), (", foggiest quarter", known & (fog >= np.quantile(fog, 0.75)))):
+        share = 100 * float(held[at].mean())
+        report.add(group, f"90 % region holds the truth{where}", "%", [share], n=int(at.sum()))
     turned = np.concatenate([r.turned_deg for r in records])
     report.add(group, "direction", "deg", turned[known].tolist())
     right = np.concatenate([(r.calyx == r.true_calyx)[(r.true_calyx >= 0) & (r.state == TRACKING)] for r in records])
@@ -63,3 +67,20 @@ def losses_s(record: Record) -> list[float]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad[first:], [False]]))) + first
     ends = [min(e, len(t) - 1) for e in edges[1::2].tolist()]
     return [float(t[e] - t[s]) for s, e in zip(edges[::2].tolist(), ends, strict=True)]
+
+
+def _add_causes(report: Report, group: str, records: Sequence[Record]) -> None:
+    """Why pictures have no place: before the first one, refused, a region too wide for one, or no pose at all."""
+    state = np.concatenate([r.state for r in records])
+    since = np.concatenate([np.logical_or.accumulate(r.state == TRACKING) for r in records])
+    posed = np.isfinite(np.concatenate([r.off_mm for r in records]))
+    shown = np.isfinite(np.concatenate([r.told[:, TOLD.index("score")] for r in records]))
+    later = (state != TRACKING) & (state != LOST) & since
+    for why, at in (
+        ("before the first", ~since),
+        ("the kidney is refused", (state == LOST) & since),
+        ("its region is too wide", later & posed & shown),
+        ("its region is too wide, nothing shown", later & posed & ~shown),
+        ("it is looked for", later & ~posed),
+    ):
+        report.add(group, f"no place: {why}", "pictures", [float(at.sum())], n=len(state))

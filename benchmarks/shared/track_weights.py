@@ -11,8 +11,7 @@ from benchmarks.shared.track_records import TOLD, Record
 from benchmarks.shared.track_scores import FAR_MM
 from ursnav_torch.errors import InputError
 from ursnav_torch.localization.fitting import fit_quantile
-from ursnav_torch.localization.learned import packaged_models, save_packaged
-from ursnav_torch.tracking.certainty import REGION_90
+from ursnav_torch.localization.learned import PositionErrors, packaged_models, save_packaged
 
 Array = NDArray[np.float64]
 #: Added to errors before their logarithm is taken, mm, and to the spread, as `tracking.certainty` does.
@@ -23,46 +22,57 @@ _FAR_COSTS = 5 / 1.5
 _REGIONS_MM = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
 
 
-def fit_position(report: Report, flights: Mapping[str, Sequence[Record]], save: bool) -> None:
+def fit_position(report: Report, records: Mapping[str, Sequence[Record]], save: bool) -> None:
     """Fit the weights of position errors over all flights; judge them on each phantom by those of the others.
 
     Args:
         report: takes the figures.
-        flights: tracks by how they were followed (without a robot's word, and with it); all teach alike.
+        records: tracks without a robot's word (``position``), and with it (``position_told``); each has its own.
         save: whether the package keeps the weights.
 
     Raises:
         InputError: the package has no weights to be replaced.
     """
-    records = [(how, record) for how, found in flights.items() for record in found]
-    how, kidney = (
-        np.concatenate([[name] * int(_seen(r).sum()) for name, r in named])
-        for named in (records, [(r.flown.case.kidney, r) for _, r in records])
-    )
-    basis, off = (np.concatenate(column) for column in zip(*(_errors(r) for _, r in records), strict=True))
-    told = np.zeros(len(off))
-    for name in np.unique(kidney):
-        others = kidney != name
-        told[~others] = np.exp(basis[~others] @ fit_quantile(basis[others], np.log(off[others] + _SMALL_MM)))
-    for name in flights:
-        _tell(report, f"position told, phantoms left out, {name}", off[how == name], told[how == name])
-    weights = fit_quantile(basis, np.log(off + _SMALL_MM))
-    for what, weight in zip(("constant", "score", "log spread"), weights.tolist(), strict=True):
-        report.add("weights of position", what, "log mm", [weight], n=len(off))
+    position, told = (_fitted(report, name, records[name]) for name in ("position", "position_told"))
     if save:
         packaged = packaged_models()
         if packaged is None or packaged.track is None:
             raise InputError("The package has no track weights yet; learn them first: benchmarks.certainty save=true.")
-        a, b, c = (float(f"{w:.5g}") for w in weights)
-        save_packaged(replace(packaged, track=replace(packaged.track, position=(a, b, c))))
+        save_packaged(replace(packaged, track=replace(packaged.track, position=position, position_told=told)))
 
 
-def _tell(report: Report, group: str, off: Array, told: Array) -> None:
+def _fitted(report: Report, name: str, records: Sequence[Record]) -> PositionErrors:
+    """The errors of one kind of tracks."""
+    basis, off = (np.concatenate(column) for column in zip(*(_errors(r) for r in records), strict=True))
+    kidney = np.concatenate([[r.flown.case.kidney] * int(_seen(r).sum()) for r in records])
+    told, region = np.zeros((2, len(off)))
+    for phantom in np.unique(kidney):
+        others = kidney != phantom
+        fitted = _fit(basis[others], off[others])
+        told[~others] = np.exp(basis[~others] @ np.array(fitted.weights))
+        region[~others] = fitted.region_sd * told[~others]
+    _tell(report, f"{name}, phantoms left out", off, told, region)
+    errors = _fit(basis, off)
+    for what, value in zip(("constant", "score", "log spread"), errors.weights, strict=True):
+        report.add(name, what, "log mm", [value], n=len(off))
+    report.add(name, "90 % region", "sd", [errors.region_sd], n=len(off))
+    return errors
+
+
+def _fit(basis: Array, off: Array) -> PositionErrors:
+    """Of errors (N,) told from (N, 3)."""
+    weights = fit_quantile(basis, np.log(off + _SMALL_MM))
+    region_sd = float(np.quantile(off / np.exp(basis @ weights), 0.9))
+    a, b, c, region = (float(f"{w:.5g}") for w in (*weights, region_sd))
+    return PositionErrors((a, b, c), region)
+
+
+def _tell(report: Report, group: str, off: Array, told: Array, region: Array) -> None:
     """How well errors (N,) are told, and what is a place for each region that may be asked of it."""
     report.add(group, "within one sd", "%", [100 * float((off <= told).mean())], n=len(off))
-    report.add(group, "90th percentile of errors in sd", "sd", [float(np.quantile(off / told, 0.9))], n=len(off))
+    report.add(group, "within the 90 % region", "%", [100 * float((off <= region).mean())], n=len(off))
     for within in _REGIONS_MM:
-        kept, what = REGION_90 * told <= within, f"90 % region within {within:g} mm"
+        kept, what = region <= within, f"90 % region within {within:g} mm"
         report.add(group, what, "%", [100 * float(kept.mean())], n=len(off))
         far = kept & (off > FAR_MM)
         worth = 100 * float(kept.mean() - _FAR_COSTS * far.mean())

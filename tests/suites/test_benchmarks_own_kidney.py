@@ -27,7 +27,7 @@ def test_a_wrong_kidney_that_fits_as_well_is_told_by_its_mirror_image() -> None:
 def test_the_decoy_counts_in_doubt_alone_and_a_verdict_stands() -> None:
     right, settings = flown(True, 0.9, 0.4), OwnKidneySettings()
     said = verdicts(right, settings)
-    assert said[0] is None and said[3] is True and said[-1] is True
+    assert said[0] is True and said[-1] is True
     worse = right.evidence.copy()
     worse[5:, 3] = 5.0  # in a track that is believed nobody looks in the mirror
     worse[30:] = np.nan

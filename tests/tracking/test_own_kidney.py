@@ -15,8 +15,9 @@ def after(evidence: KidneyEvidence, pictures: int, seconds: float = 0.1) -> OwnK
     return test
 
 
-def test_good_pictures_are_believed_after_two_and_bad_ones_give_up_later() -> None:
-    assert after(GOOD, 1).verdict is None and after(GOOD, 2).verdict is True
+def test_a_good_picture_is_believed_at_once_and_bad_ones_give_up_later() -> None:
+    assert after(GOOD, 0).verdict is None and after(GOOD, 1).verdict is True
+    assert after(GOOD, 1).in_doubt and not after(GOOD, 2).in_doubt
     assert after(BAD, 3).verdict is None and after(BAD, 6).verdict is False
 
 
@@ -39,9 +40,9 @@ def test_a_gap_counts_as_four_pictures_and_no_more() -> None:
     np.testing.assert_allclose(after(BAD, 1, seconds=60.0).trust, after(BAD, 4).trust)
 
 
-def test_the_sum_is_believed_from_3_given_up_at_minus_4_and_stays_between_minus_6_and_20() -> None:
+def test_the_sum_is_believed_from_2_given_up_at_minus_4_and_stays_between_minus_6_and_20() -> None:
     test = OwnKidneyTest(OwnKidneySettings())
-    for trust, verdict in ((2.99, None), (3.0, True), (-3.99, None), (-4.0, False)):
+    for trust, verdict in ((1.99, None), (2.0, True), (-3.99, None), (-4.0, False)):
         test.trust = trust
         assert test.verdict is verdict
     assert after(GOOD, 1000).trust == 20.0 and after(BAD, 1000).trust == -6.0

@@ -1,6 +1,7 @@
 """The track at hand and its challenger: what is tried next, and when another place takes over."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -235,3 +236,32 @@ def test_a_track_that_slips_is_looked_for_around_where_it_was() -> None:
     asked = len(scores.asked)
     pursuit.follow(picture(HERE, FAR), anew=False)
     assert all(len(tried) != ChallengerSettings().catches for tried in scores.asked[asked:])
+
+
+def told(best: np.ndarray, *places: np.ndarray) -> Weighed:
+    """A picture of which a robot told where the camera may be."""
+    return replace(picture(best, FAR), told=places)
+
+
+def test_where_a_robot_puts_the_camera_is_tried_too() -> None:
+    """Beside where the track leads, and, once it is looked for anew, before anything else."""
+    scores = Scores(0.8)
+    carried, sprung = ahead_by(HERE, 6.0), ahead_by(HERE, -7.0)
+    pursuit = followed(scores)
+    scores.asked.clear()
+    pursuit.follow(told(HERE, carried, sprung), anew=False)
+    assert any(T is carried for T in scores.asked[0]) and any(T is sprung for T in scores.asked[0])
+    scores.asked.clear()
+    pursuit.follow(told(HERE, carried, sprung), anew=True)
+    assert scores.asked[0][0] is carried and scores.asked[0][1] is sprung
+
+
+def test_a_track_that_slips_is_looked_for_around_where_the_shafts_way_leads_too() -> None:
+    scores, sprung = Scores(0.9), ahead_by(HERE, 60.0)
+    pursuit = followed(scores)
+    pursuit.follow(picture(HERE, FAR), anew=False)
+    scores.here = 0.5
+    pursuit.follow(told(HERE, HERE, sprung), anew=False)
+    (drawn,) = [tried for tried in scores.asked[-3:] if len(tried) == ChallengerSettings().catches]
+    near = [np.linalg.norm(T[:3, 3] - sprung[:3, 3]) < 20 for T in drawn]
+    assert near == [False, True] * (len(near) // 2)

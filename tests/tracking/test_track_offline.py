@@ -15,8 +15,7 @@ from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways, join
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.smooth import SmoothSettings
-from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
+from ursnav_torch.tracking.smooth import Measured, SmoothSettings, smooth_stretch
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid
 

@@ -52,7 +52,7 @@ def test_a_settled_track_is_weighed_against_all_views_now_and_then(
     assert len(settled) > 0.6 * len(way)
     weighed = len(looked) - sum(a.evidence is not None and a.evidence.decoy is not None for a in answers)
     assert weighed <= most * len(way) and (every_s or weighed == len(way))
-    for answer, T in settled:
+    for answer, T in settled[1:]:  # of the first, hypotheses come from one picture alone
         assert answer.T_kidney_camera is not None and answer.certainty is not None and answer.places is not None
         assert np.linalg.norm(answer.T_kidney_camera[:3, 3] - T[:3, 3]) < 1.5
         assert answer.certainty.evidence.spread_mm < 6.0

@@ -30,17 +30,32 @@ _LEAST = 5
 
 
 @dataclass(frozen=True, slots=True)
+class PositionErrors:
+    """How far off a track's positions are.
+
+    Attributes:
+        weights: constant, and weights of the alignment's score and of the logarithm of the hypotheses' spread, in the
+            logarithm of what two of three errors are within, mm at scale 1: one standard deviation.
+        region_sd: standard deviations within which nine of ten are; errors have other tails than a Gaussian's.
+    """
+
+    weights: tuple[float, float, float]
+    region_sd: float
+
+
+@dataclass(frozen=True, slots=True)
 class TrackWeights:
     """How a track's evidence is read, see `tracking.certainty`.
 
     Attributes:
         least_share: for every one of `LEVELS`, of the hypotheses' probability, from which on a calyx may be the one.
-        position, direction: constant, and weights of the alignment's score and of the logarithm of the hypotheses'
-            spread, in the logarithm of what two of three errors are within, mm at scale 1 and degrees.
+        position, position_told: without a robot's word, and with it.
+        direction: as `PositionErrors.weights`, of degrees.
     """
 
     least_share: tuple[float, ...]
-    position: tuple[float, float, float]
+    position: PositionErrors
+    position_told: PositionErrors
     direction: tuple[float, float, float]
 
 

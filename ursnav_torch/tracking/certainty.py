@@ -9,21 +9,18 @@ from numpy.typing import NDArray
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.localization.certainty import LEVELS
-from ursnav_torch.localization.learned import TrackWeights, packaged_models
+from ursnav_torch.localization.learned import PositionErrors, TrackWeights, packaged_models
 from ursnav_torch.tracking.motion import Hypotheses
 
 Array = NDArray[np.float64]
 #: Added to a spread before its logarithm is taken, mm and degrees: hypotheses are no finer.
 _FINEST_MM, _FINEST_DEG = 0.1, 1.0
-#: Standard deviations within which nine of ten positions are; errors have heavier tails than a Gaussian's. From weights
-#: learned before; those of today, on flights of phantoms that taught nothing, ask for 1.78, and with a robot's word for
-#: 1.41 (``python -m benchmarks.flights half=choosing fit=true``), so that this is a little careful.
-REGION_90 = 1.84
 #: Radius, in standard deviations of an axis, within which two of three points of a Gaussian in space are (chi, 3).
 _RADIUS_SD = 1.88
 #: Before anything was learned: a twentieth of the hypotheses' probability keeps a calyx in the set, and errors fall
 #: from about 1 mm and 6 degrees at a score of 0.4 to a third of that at 0.9.
-UNLEARNED = TrackWeights((0.05,) * len(LEVELS), (0.9, -2.2, 0.1), (2.7, -2.2, 0.1))
+_UNLEARNED_POSITION = PositionErrors((0.9, -2.2, 0.1), 1.84)
+UNLEARNED = TrackWeights((0.05,) * len(LEVELS), _UNLEARNED_POSITION, _UNLEARNED_POSITION, (2.7, -2.2, 0.1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +30,13 @@ class TrackCertaintySettings:
     Attributes:
         set_probability: with which they hold the right one.
         largest_mm: a region that holds the position with 90 % and reaches farther than this from the pose is no place.
-            Where a place more than 3 mm off counts as 3.3 that are missing, 4, 5, 6 and 8 mm are worth 94.6, 94.8, 94.3
-            and 92.7 % of the choosing flights' poses, each phantom's errors told by the others' weights, in the mean of
-            flights with and without a robot's word (`benchmarks.flights half=choosing fit=true`).
+            Where a place more than 3 mm off counts as 3.3 that are missing, 3, 4, 5 and 6 mm are worth 94.1, 95.3, 94.8
+            and 94.1 % of the choosing flights' poses without a robot's word, and 97.4, 98.2, 97.7 and 97.8 % with it,
+            each phantom's errors told by the others' weights (`benchmarks.flights half=choosing fit=true`).
     """
 
     set_probability: float = 0.95
-    largest_mm: float = 5.0
+    largest_mm: float = 4.0
 
     def __post_init__(self) -> None:
         if not self.largest_mm > 0:
@@ -79,17 +76,19 @@ class TrackCertainty:
         calyces: those that it may be, the answer first, -1 for none.
         position_sd_mm, direction_sd_deg: two of three errors are within these.
         evidence: what they were computed from.
+        region_sd: standard deviations within which nine of ten positions are.
     """
 
     calyces: tuple[int, ...]
     position_sd_mm: float
     direction_sd_deg: float
     evidence: TrackEvidence
+    region_sd: float
 
     @property
     def region_mm(self) -> float:
         """Radius of the region about the pose that holds the position with 90 %."""
-        return REGION_90 * self.position_sd_mm
+        return self.region_sd * self.position_sd_mm
 
     def sensed(self, sigma_mm: float) -> "TrackCertainty":
         """The same with a sensor's word on the position, an axis's standard deviation of which is ``sigma_mm``."""
@@ -135,17 +134,17 @@ def track_evidence(
 
 
 def track_certainty(
-    evidence: TrackEvidence, weights: TrackWeights, set_probability: float, scale: float
+    evidence: TrackEvidence, weights: TrackWeights, errors: PositionErrors, set_probability: float, scale: float
 ) -> TrackCertainty:
-    """How sure an answer is; ``scale`` is the kidney's."""
+    """How sure an answer is; ``errors`` are the weights' with a robot's word or without, ``scale`` is the kidney's."""
     share, calyx = evidence.share, evidence.calyx
     row = int(np.searchsorted(LEVELS, set_probability - 1e-9))
     least = weights.least_share[row] if row < len(LEVELS) else 0.0
     order = [int(i) if i < len(share) - 1 else -1 for i in np.argsort(-share, kind="stable")]
     calyces = (calyx, *(c for c in order if c != calyx and share[c] >= least))
     away, turned = evidence.error_numbers()
-    mm, deg = float(np.exp(away @ np.array(weights.position))), float(np.exp(turned @ np.array(weights.direction)))
-    return TrackCertainty(calyces, mm * scale, min(deg, 180.0), evidence)
+    mm, deg = float(np.exp(away @ np.array(errors.weights))), float(np.exp(turned @ np.array(weights.direction)))
+    return TrackCertainty(calyces, mm * scale, min(deg, 180.0), evidence, errors.region_sd)
 
 
 def joined_certainty(ways: Sequence[TrackCertainty], calyx: int) -> TrackCertainty | None:
@@ -159,4 +158,4 @@ def joined_certainty(ways: Sequence[TrackCertainty], calyx: int) -> TrackCertain
         return None
     left = [c for c in ways[0].calyces if c != calyx and all(c in way.calyces for way in ways)]
     mm, deg = (min(getattr(way, name) for way in ways) for name in ("position_sd_mm", "direction_sd_deg"))
-    return TrackCertainty((calyx, *left), mm, deg, ways[0].evidence)
+    return TrackCertainty((calyx, *left), mm, deg, ways[0].evidence, ways[0].region_sd)

@@ -145,11 +145,17 @@ class Odometry:
 
     Args:
         settings: see `OdometrySettings`, lengths in mm of this kidney.
+
+    Attributes:
+        segment: that bends the tip.
+        insertion: plays of the slider.
+        bend: (2,) of the segment, as far as the plays let the motors through.
+        inserted_mm: how deep the shaft is, as told last, and whether it was ``pushed`` to get there.
     """
 
     def __init__(self, settings: OdometrySettings | None = None) -> None:
         self.settings = settings or OdometrySettings()
-        self._segment = Segment(length_mm=self.settings.length_mm)
+        self.segment = Segment(length_mm=self.settings.length_mm)
         self.reset()
 
     def reset(self) -> None:
@@ -157,23 +163,25 @@ class Odometry:
         s = self.settings
         self.insertion = PlayBank(s.insertion_plays_mm, _SEEN_MM)
         self.bends = [PlayBank(np.radians(s.bend_plays_deg), np.radians(_SEEN_DEG)) for _ in range(2)]
-        self._bend = np.zeros(2)
+        self.bend = np.zeros(2)
+        self.inserted_mm, self.pushed = 0.0, False
         self._mixed = complex(_NO_ROLL)  # turns seen against turns told: their angle is the camera's roll
         self._pending: tuple[float, Array] | None = None
 
     def carried(self, reading: OdometryReading, seconds: float) -> Carried:
         """The camera's mean motion over the seconds before a reading; the first one tells of none."""
         s, dt = self.settings, max(seconds, 1e-3)
+        self.pushed, self.inserted_mm = reading.insertion_mm > self.inserted_mm, reading.insertion_mm
         advance, unsure = self.insertion.step(reading.insertion_mm)
         steps = [bank.step(b) for bank, b in zip(self.bends, reading.joints()[1:], strict=True)]
         turned, turn_unsure = (np.array(x) for x in zip(*steps, strict=True))
         straight = self._stepped(turned, advance)
         self._pending = (advance, turned)
-        self._bend = np.clip(self._bend + turned, -_LARGEST_BEND, _LARGEST_BEND)
+        self.bend = np.clip(self.bend + turned, -_LARGEST_BEND, _LARGEST_BEND)
         roll = transform_from(Rotation.from_rotvec([0, 0, self.roll()]).as_matrix(), np.zeros(3))
         along = np.hypot(s.insertion_mm_s * dt, np.hypot(unsure, s.insertion_share * advance))
         swing = np.hypot(np.radians(s.bend_deg_s) * dt, np.hypot(turn_unsure, s.bend_share * turned).max())
-        aside = np.hypot(along, swing * self._segment.length_mm / 2)
+        aside = np.hypot(along, swing * self.segment.length_mm / 2)
         return Carried(roll @ straight @ inverse(roll), float(aside), float(swing), dt)
 
     def learn(self, T_before_now: Array, position_sd_mm: float, turn_sd: float, seconds: float) -> None:
@@ -198,8 +206,8 @@ class Odometry:
 
     def _stepped(self, turned: Array, advance: float) -> Array:
         """(4, 4) how the tip goes in its own frame: the bend swings it, the push drives it along its curve."""
-        length, bend = self._segment.length_mm, self._bend
+        length, bend = self.segment.length_mm, self.bend
         after = bend + turned
-        swing = inverse(self._segment.point_transform(bend)) @ self._segment.point_transform(after)
-        ahead = inverse(self._segment.point_transform(after)) @ self._segment.point_transform(after, length + advance)
+        swing = inverse(self.segment.point_transform(bend)) @ self.segment.point_transform(after)
+        ahead = inverse(self.segment.point_transform(after)) @ self.segment.point_transform(after, length + advance)
         return np.asarray(swing @ ahead, float)

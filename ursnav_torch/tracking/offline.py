@@ -24,7 +24,7 @@ from ursnav_torch.tracking.follow import Instruments, Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
 from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.smooth_offline import Measured, smooth_stretch
+from ursnav_torch.tracking.smooth import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, Tracked, Tracker
 
 Array = NDArray[np.float64]

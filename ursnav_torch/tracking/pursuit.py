@@ -1,6 +1,7 @@
 """The track at hand: one refined pose taken on from picture to picture, beside a challenger that may take over."""
 
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ class Weighed:
         prior: what motion says of poses, in units of the alignment's score.
         sensor: the EM reading, if there is one.
         carried: how the camera was carried since the picture before (4, 4), where a robot told.
+        told: poses (4, 4) where a robot's word puts the camera: as far on as it was carried, and along the shaft's way.
     """
 
     features: Features
@@ -43,6 +45,7 @@ class Weighed:
     prior: Prior
     sensor: SensorReading | None
     carried: Array | None = None
+    told: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +183,7 @@ class Pursuit:
     def _taken_on(self, picture: Weighed, own: _Lead, T: Array) -> Refined:
         """The track aligned from where it may go on; what `go_on` has aligned of the same picture is not done again."""
         starts, found = self._missed or (self._on(own, picture.carried), None)
-        around = self._around(starts, T, picture)[: self.starts]
+        around = self._around([*starts, *picture.told], T, picture)[: self.starts + len(picture.told)]
         if found is None:
             return self._aligned(picture.features, around, picture.prior)
         if len(around) == len(starts):
@@ -208,7 +211,8 @@ class Pursuit:
         sd = np.sqrt(self._slipped) * np.repeat([s.catch_mm, np.radians(s.catch_deg)], 3)
         steps = self._rng.normal(size=(self.catches, 6)) * sd
         turns = Rotation.from_rotvec(steps[:, 3:]).as_matrix()
-        starts = [self._held @ transform_from(R, way) for R, way in zip(turns, steps[:, :3], strict=True)]
+        around = cycle([self._held, *picture.told[1:2]])
+        starts = [at @ transform_from(R, way) for at, R, way in zip(around, turns, steps[:, :3], strict=False)]
         found = self._aligned(picture.features, starts, picture.prior)
         return _Lead(found, own.before) if found.score > own.refined.score + s.score_step / 2 else own
 
@@ -238,7 +242,8 @@ class Pursuit:
 
     def _anywhere(self, picture: Weighed, T: Array) -> list[Array]:
         """What is known of the track, and the hypotheses that fit best or are most probable."""
-        known = [] if self._incumbent is None else [self._incumbent.refined.T_kidney_camera]
+        known = list(picture.told)
+        known += [] if self._incumbent is None else [self._incumbent.refined.T_kidney_camera]
         known += [] if self._good is None else [self._good]
         known += [] if self._challenger is None else [self._challenger.refined.T_kidney_camera]
         fitting = self._apart([*known, T], picture.found, picture.fits, self._settings.starts)

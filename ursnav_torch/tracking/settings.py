@@ -78,6 +78,10 @@ class ChallengerSettings:
             (`benchmarks.flights half=choosing vary=challenger.usual_drop=0.03,0.15`, and so on; places as for every_s).
         depth_step_mm: step in depth that is tried; other poses tried are half as far apart at least.
         reacquire_below: after an alignment that scores less, the track is looked for anew among all hypotheses.
+        leap_above: where a robot told of the motion, a pose elsewhere that is aligned worse than this is not believed:
+            0.45, 0.55 and 0.65 leave 0.4, 0.4 and 2.0 % of the choosing flights' places more than 3 mm off, before the
+            shaft's way in was remembered (`benchmarks.flights half=choosing odometry=true
+            vary=challenger.leap_above=0.45,0.65`).
         challenge_below: while alignments score less, a place that fits well is aligned beside the incumbent; and one
             that the robot tells the scope was not driven to is believed by new evidence alone.
         score_step: a challenger whose alignment scores better by this gains a full step.
@@ -96,6 +100,7 @@ class ChallengerSettings:
     enough_above: float = 0.5
     depth_step_mm: float = 2.0
     reacquire_below: float = 0.35
+    leap_above: float = 0.45
     challenge_below: float = 0.65
     score_step: float = 0.1
     prior_weight: float = 0.01
@@ -131,10 +136,13 @@ class OwnKidneySettings:
             kidney; the alignment's own noise is among them.
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
         accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
-            given up.
-        after_leap: the sum falls to this where the track is found where a robot tells that the scope was not driven. At
-            2 and 0 none of the choosing flights' places is more than 3 mm off, of 92.5 and 91.5 % of the pictures, and
-            without 0.7 % are, of 95.1 % (`benchmarks.flights half=choosing odometry=true`).
+            given up. At 2, as much as one picture may count, a place is found a picture or two sooner than at 3, and as
+            before nothing of the choosing flights is believed in another's VID (`benchmarks.flights half=choosing
+            other=true vary=own_kidney.accept_above=2,3`).
+        after_leap: the sum falls to this where the track is found where a robot tells that the scope was not driven,
+            nor its shaft's way leads: short of ``accept_above`` by as much as when the two were 2 and 3, which left
+            none of the choosing flights' places more than 3 mm off, before ways were remembered
+            (`benchmarks.flights half=choosing odometry=true`).
         max_sum, min_sum: the sum stays between them: a long good track outlasts a bad stretch.
         frame_s: time between pictures that these numbers are stated for.
     """
@@ -145,9 +153,9 @@ class OwnKidneySettings:
     sensor_gate_sd: float = 3.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
-    accept_above: float = 3.0
+    accept_above: float = 2.0
     reject_below: float = -4.0
-    after_leap: float = 2.0
+    after_leap: float = 1.0
     max_sum: float = 20.0
     min_sum: float = -6.0
     frame_s: float = 0.1

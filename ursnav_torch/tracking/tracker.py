@@ -44,6 +44,7 @@ from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.smooth import PoseFilter
+from ursnav_torch.tracking.trail import ShaftTrail
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -140,6 +141,7 @@ class Tracker:
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
         self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
+        self._trail = ShaftTrail(self._odometry, self.lumen, vid.kidney.scale)
         self._whole = self._extractor = relief_extractor(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._extractor.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
@@ -180,6 +182,7 @@ class Tracker:
         """Forget everything: the scope may be anywhere."""
         self._smooth.reset()
         self._odometry.reset()
+        self._trail.reset()
         self._told_s: float | None = None  # when the robot last said something
         self._step: Carried | None = None  # since the picture before
         self._carried: Carried | None = None  # since the last picture that showed something
@@ -192,6 +195,7 @@ class Tracker:
         self._seen_s, self._state = 0.0, SEARCHING
         self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
+        self._is_sure = False  # whether this track has been beyond doubt
         self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
         self._decoy.reset()
@@ -291,13 +295,20 @@ class Tracker:
         known = self._carried is not None and self._step is not None
         self._carried = self._carried.then(self._step) if known else None  # type: ignore[union-attr,arg-type]
 
+    def _told_places(self, t_s: float) -> tuple[Array, ...]:
+        """Go on to the time of a picture: where (4, 4) a robot's word puts the camera, see `Weighed`; else nothing."""
+        ahead = self._smooth.predict(t_s, self._step)
+        return () if self._step is None or ahead is None else (ahead, *self._trail.expected())
+
     def _learn_plays(self, refined: Refined, passed: float) -> None:
-        """Compare the step from the picture before, as both are aligned, with the robot's word."""
+        """Compare the step from the picture before, as both are aligned, with the robot's word; remember the way in."""
         before, good = self._aligned, self.settings.challenger.challenge_below
         if before is not None and self._step is not None and min(before.score, refined.score) >= good:
             mm, rad = self.settings.smoothing.noise(min(before.score, refined.score))
             step = inverse(before.T_kidney_camera) @ refined.T_kidney_camera
             self._odometry.learn(step, mm, rad, passed)
+        if self._step is not None and refined.score >= good:
+            self._trail.mark(refined.T_kidney_camera)
         self._aligned, self._carried = refined, STILL
 
     def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
@@ -308,14 +319,15 @@ class Tracker:
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
         prior = expected(since, sensor, self.settings.challenger, self.lumen)
         way = None if carried is None else carried.T_before_now
+        told = self._told_places(t_s)
         evidence, refined = None, self._gone_on(features, prior, way, t_s)
         if refined is None:
             bare = not features.maps.numel()
             mapped = self._extractor.with_relief(features, features.fields[0]) if bare else features
             self._found, fits = self._filter.update(mapped, since, sensor)
             self._fit = float(fits[self._found.weight.argmax()])
-            picture = Weighed(features, self._found, fits, prior, sensor, way)
-            refined = self._pursuit.follow(picture, anew=self._state != TRACKING)
+            picture = Weighed(features, self._found, fits, prior, sensor, way, told)
+            refined = self._pursuit.follow(picture, anew=self._state != TRACKING or not self._is_sure)
             plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
             decoy = self._decoy.score(self._mirrored(as_taken), t_s) if self._test.in_doubt else None
             evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s)
@@ -324,23 +336,22 @@ class Tracker:
         self._learn_plays(refined, passed)
         if self._pattern.tells(refined.T_kidney_camera, refined.score):
             self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
-        self._remember(found, refined.T_kidney_camera, t_s)
+        T_aligned = T = refined.T_kidney_camera
         if self._state == TRACKING:
-            T = self._steady(refined.T_kidney_camera, refined.score, t_s, sensor)
+            T = self._steady(T_aligned, refined.score, t_s, sensor, told)
+        self._remember(found, T if told else T_aligned, t_s)
         if self._state != TRACKING:
             self._smooth.reset()
-            spent = time.perf_counter() - start
-            T, places = refined.T_kidney_camera, likeliest_places(found)
-            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T, evidence, places=places)
+            spent, places = time.perf_counter() - start, likeliest_places(found)
+            return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T_aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
         if sensor is not None and sensor.camera_at(T) is not None:
             self._sure = self._sure.sensed(sensor.sigma_mm)
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
-        aligned, places = refined.T_kidney_camera, likeliest_places(found)
-        state = self.state_at(self._sure)
-        return Tracked(state, T, calyx, confidence, fit, refined.score, spent, aligned, evidence, self._sure, places)
+        state, places = self.state_at(self._sure), likeliest_places(found)
+        return Tracked(state, T, calyx, confidence, fit, refined.score, spent, T_aligned, evidence, self._sure, places)
 
     def state_at(self, sure: TrackCertainty) -> str:
         """``tracking`` while a pose in this kidney is sure enough to be a place, else ``searching``."""
@@ -352,7 +363,8 @@ class Tracker:
         observed = observed_calyx(found.T_kidney_camera, kidney, self.lumen)
         evidence = track_evidence(found, observed, calyx, T, score, kidney.scale)
         probability = self.settings.certainty.set_probability
-        return track_certainty(evidence, self._weights, probability, kidney.scale), float(evidence.share[calyx])
+        errors = self._weights.position if self._step is None else self._weights.position_told
+        return track_certainty(evidence, self._weights, errors, probability, kidney.scale), float(evidence.share[calyx])
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
@@ -390,6 +402,7 @@ class Tracker:
         self._test.add(evidence, seconds)
         if self._test.verdict is not None:
             self._state = TRACKING if self._test.verdict else LOST
+        self._is_sure = self._state == TRACKING and (self._is_sure or not self._test.in_doubt)
         return evidence
 
     def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
@@ -397,14 +410,21 @@ class Tracker:
         s = self.settings.filter
         return are_near(T_a, T_b, s.same_place_mm, s.same_place_deg)
 
-    def _steady(self, T: Array, score: float, t_s: float, sensor: SensorReading | None) -> Array:
-        """The refined pose, smoothed; a pose far from where the motion leads starts a new track."""
-        expected = self._smooth.predict(t_s, self._step)
+    def _steady(
+        self, T: Array, score: float, t_s: float, sensor: SensorReading | None, told: tuple[Array, ...]
+    ) -> Array:
+        """The refined pose, smoothed; a pose far from where the motion leads starts a new track.
+
+        Where a robot told of the motion, and of no other place (4, 4) that is near, such a pose is less believed.
+        """
+        expected = self._smooth.predict(t_s)
         if expected is not None and not self._near(expected[None], T)[0]:
-            if score < self.settings.challenger.reacquire_below:
+            s = self.settings.challenger
+            foreseen = not told or self._near(np.array(told), T).any()
+            if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected
             self._smooth.reset()
-            if self._step is not None and score < self.settings.challenger.challenge_below:  # nor was it driven there
+            if not foreseen and score < s.challenge_below:  # nor was it driven there
                 self._test.leapt()
                 self._state = SEARCHING
         T = self._smooth.update(T, t_s, score)
