@@ -12,6 +12,10 @@
 
 Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
 change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only.
+
+Without breathing (up to 1.2 mm), all else equal, positions are as far off: 0.30 mm in the median, 0.97 mm at the 90th
+percentile (with it 0.30 and 0.96), 0.6 % of places more than 3 mm off (0.7 %), a place in 96.3 % of the pictures once
+there was one (96.4 %). So much could estimating it win at most: nothing that counts.
 """
 
 import sys
