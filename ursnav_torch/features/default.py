@@ -23,6 +23,7 @@ from ursnav_torch.features.image import check_image, signal
 from ursnav_torch.features.network import WallReader
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import check_method, sample
+from ursnav_torch.features.shading import RimShading
 
 #: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
 COARSE = 0.024
@@ -94,6 +95,7 @@ class DefaultExtractor:
         rim = settings.contour_blur * self._unit * 2 + 1
         self._contour_mask = blur(self._small_mask, rim) > 0.97
         self._around = LocalPlane(self._small_mask, settings.relief_reach * self._unit)
+        self._shading = RimShading(self.working_camera, self._small_mask)
         blurs = {*settings.edge_blurs, settings.contour_blur, COARSE}
         self._blurs = {share: MaskedBlur(self._small_mask, share * self._unit) for share in blurs}
         self._first_blur = MaskedBlur(self._small_mask, max(settings.relief_blur * self._unit, 0.5))
@@ -121,6 +123,9 @@ class DefaultExtractor:
         refuse_blank(gray.flatten()[self._probes])
         log_image = self._small_log(gray)
         detail, variance = self._around.detail(log_image)
+        if not virtual:  # a drawn view's lamp is in the lens
+            detail = detail - self._shading(detail)
+            variance = self._around.variance(detail)
         relief, valid = flat_of(detail, variance, self._small_mask), self._small_mask
         contrast = grain = 0.0
         if not virtual and not bare:  # a drawn view's are of no interest

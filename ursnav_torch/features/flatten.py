@@ -129,7 +129,11 @@ class LocalPlane:
     def detail(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """An image (H, W) less its surroundings, and the local variance of what is left (H, W); 0 outside."""
         left = (image - self(image)) * self._mask
-        return left, self._blur(left * left)
+        return left, self.variance(left)
+
+    def variance(self, detail: Tensor) -> Tensor:
+        """The local variance (H, W) of a detail (H, W)."""
+        return self._blur(detail * detail)
 
 
 def flatten(log_image: Tensor, mask: Tensor, around: LocalPlane, floor: float = 0.02, most: float = 3.0) -> Tensor:
