@@ -11,9 +11,10 @@ VIDs) ``styles=tissue`` (names with + between them) ``stride=1`` (every so many 
 
     python -m benchmarks.causes work=DIR phantoms=4 vary=coarse_px=40,52
 
-takes the first phantoms that certainty is learned from in place of ``data``, with ``pictures=12`` of each of its kinds
-and ``views=60`` (a calyx). ``vary=`` compares values of a setting of refinement or of localization by them; the tables
-then have the CPU time of a still besides, which the true pose's alignment counts in where the answer is wrong.
+takes phantoms of the population that certainty is learned from in place of ``data``, from the ``first=0`` on, with
+``pictures=12`` of each of its kinds and ``views=60`` (a calyx). ``vary=`` compares values of a setting of refinement or
+of localization by them; the tables then have the CPU time of a still besides, which the true pose's alignment counts in
+where the answer is wrong.
 
 **Shading at the rim** (`features.shading`) was found by looking: within a narrow beam's edge, pictures had a bright
 ring in their relief (0.4 to 0.6 of its contrast) that drawn views lack. Of 430 stills of four phantoms 344 were right
@@ -60,7 +61,7 @@ from ursnav_torch.threads import one_thread_an_operation
 
 DEFAULTS = {
     "data": "", "work": "", "styles": "tissue", "stride": 1, "within_mm": 4.0, "within_deg": 25.0, "out": "",
-    "phantoms": 0, "pictures": 12, "views": 60, "vary": "",
+    "phantoms": 0, "first": 0, "pictures": 12, "views": 60, "vary": "",
 }  # fmt: skip
 RIGHT, UNREAD, SEARCH, ALIGNMENT, RANKING = "right", "too little seen", "search", "alignment", "ranking"
 Array = NDArray[np.float64]
@@ -109,7 +110,7 @@ def tell_phantoms(report: Report, settings: dict[str, Any], work: Path, near: Ne
     """The causes of phantoms' stills, setting by setting: all of them together, and the share right of every kind."""
     compared = choices(settings["vary"])
     told: dict[str, list[tuple[str, tuple[str, bool], float]]] = {name: [] for name in compared}
-    for seed in range(settings["phantoms"]):
+    for seed in range(settings["first"], settings["first"] + settings["phantoms"]):
         vid = vid_of_phantom(seed, settings["views"], work)
         ways = {
             name: (Localizer(vid, settings=choice.localization, alignment=choice.alignment),

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.certainty.population import RaycastRenderer, current_settings, vid_of_phantom
+from benchmarks.certainty.population import ROOMS, RaycastRenderer, current_settings, vid_of_phantom
+from benchmarks.shared.fingerprints import sources
 from benchmarks.shared.results import Report
 from benchmarks.tracking import fly
 from ursnav_torch.files import write_json
@@ -62,12 +63,13 @@ def fit_track(rows: Sequence[dict[str, Any]]) -> TrackWeights:
 def _rows(seed: int, pictures: int, views: int, work: Path) -> list[dict[str, Any]]:
     """Plain rows of one phantom's flight, from the work folder where they lie there already."""
     path = work / f"certainty_flight_{seed:03d}_{views}_{pictures}.json"
+    came_from = current_settings() + sources((*ROOMS, "tracking"))
     if path.exists():
         kept = json.loads(path.read_text(encoding="utf-8"))
-        if kept["settings"] == current_settings():
+        if kept.get("came_from") == came_from:
             return list(kept["rows"])
     rows = _flown(vid_of_phantom(seed, views, work), seed, pictures)
-    write_json(path, {"settings": current_settings(), "rows": rows})
+    write_json(path, {"came_from": came_from, "rows": rows})
     print(f"phantom {seed}: {len(rows)} pictures of a flight tracked", file=sys.stderr, flush=True)
     return rows
 

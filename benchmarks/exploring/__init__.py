@@ -33,10 +33,10 @@ from scipy.spatial.transform import Rotation
 from benchmarks.exploring.sight import StoneSight
 from benchmarks.exploring.tours import shortest_tours_mm
 from benchmarks.exploring.twins import Anatomy, anatomy_of, stone_in, tissue_of, twin_in
+from benchmarks.shared.fingerprints import sources
 from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
-from benchmarks.shared.track_records import sources
 from ursnav_torch.autonomy import AutonomySettings, Explorer
 from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
 from ursnav_torch.devices import Limits

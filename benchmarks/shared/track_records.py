@@ -3,14 +3,13 @@
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-import ursnav_torch
+from benchmarks.shared.fingerprints import sources
 from benchmarks.shared.flights import Flown
 from benchmarks.shared.vary import named_values, with_value
 from ursnav_torch.errors import InputError
@@ -169,10 +168,3 @@ def _told(answer: Tracked) -> list[float]:
     off = np.nan if T is None or aligned is None else float(np.linalg.norm(T[:3, 3] - aligned[:3, 3]))
     decoy = np.nan if found is None or found.decoy is None else found.decoy
     return [answer.score, *seen, *known, off, decoy, region]
-
-
-def sources(rooms: tuple[str, ...]) -> str:
-    """A fingerprint of the code of some rooms, and of what they learned."""
-    root = Path(ursnav_torch.__file__).parent
-    files = sorted(p for room in rooms for p in (root / room).rglob("*") if p.suffix in (".py", ".json"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()

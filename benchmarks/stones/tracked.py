@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.shared.track_records import sources
+from benchmarks.shared.fingerprints import sources
 from benchmarks.stones.flights import StoneFlight, stone_vid
 from benchmarks.stones.scores import Poses
 from ursnav_torch.tracking.odometry import OdometryReading

@@ -26,11 +26,10 @@ def beam(tilt_deg: float) -> torch.Tensor:
 
 
 def relief(log_image: torch.Tensor, corrected: bool) -> torch.Tensor:
-    detail, variance = AROUND.detail(log_image)
+    detail = AROUND.detail(log_image)
     if corrected:
         detail = detail - SHADING(detail)
-        variance = AROUND.variance(detail)
-    return flat_of(detail, variance, MASK)
+    return flat_of(detail, AROUND.variance(detail), MASK)
 
 
 def likeness(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -51,20 +50,20 @@ def test_a_picture_without_a_beam_is_nearly_as_it_was() -> None:
 
 def test_what_falls_off_ever_more_slowly_is_a_wall() -> None:
     """A hollow, as of a tube's walls, is left as it is; a bulge of the same size is not."""
-    hollow, bulge = (SHADING(sign * AROUND.detail(beam(0))[0]) for sign in (-1, 1))
+    hollow, bulge = (SHADING(sign * AROUND.detail(beam(0))) for sign in (-1, 1))
     assert (hollow == 0).all() and bulge.abs().max() > 0.01
 
 
 def test_the_middle_and_what_is_outside_the_lens_are_left_alone() -> None:
     far = np.hypot(*np.meshgrid(np.arange(125) - LENS.cx, np.arange(125) - LENS.cy))
-    shading = SHADING(AROUND.detail(wall() + beam(10))[0])
+    shading = SHADING(AROUND.detail(wall() + beam(10)))
     assert (shading[torch.from_numpy(far < 0.48 * 62)] == 0).all() and (shading[MASK == 0] == 0).all()
     assert shading.abs().max() > 0.01
 
 
 def test_a_body_at_the_rim_is_no_beam() -> None:
     """A tenth of the fitted pixels far off moves the surface little: the regression is robust."""
-    clean = AROUND.detail(wall() + beam(0))[0]
+    clean = AROUND.detail(wall() + beam(0))
     spoilt = clean.clone()
     spoilt[50:75, 100:120] += 3.0
     assert (SHADING(spoilt) - SHADING(clean)).abs().max() < 0.15

@@ -122,14 +122,14 @@ class DefaultExtractor:
         gray = signal(image)
         refuse_blank(gray.flatten()[self._probes])
         log_image = self._small_log(gray)
-        detail, variance = self._around.detail(log_image)
+        detail = self._around.detail(log_image)
         if not virtual:  # a drawn view's lamp is in the lens
             detail = detail - self._shading(detail)
-            variance = self._around.variance(detail)
+        variance = self._around.variance(detail)
         relief, valid = flat_of(detail, variance, self._small_mask), self._small_mask
         contrast = grain = 0.0
         if not virtual and not bare:  # a drawn view's are of no interest
-            _, of_coarse = self._around.detail(self._blurs[COARSE](log_image))
+            of_coarse = self._around.variance(self._around.detail(self._blurs[COARSE](log_image)))
             contrast = local_contrast(of_coarse, self._small_mask)
             grain = local_contrast(variance, self._small_mask) - contrast
         bodies: tuple[ForegroundBody, ...] = ()

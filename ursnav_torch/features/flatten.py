@@ -126,13 +126,12 @@ class LocalPlane:
         """The planes' heights (H, W) at the pixels of an image (H, W); 0 outside."""
         return (blur(self.columns * image, self.sigma_px) * self.weights).sum(0)
 
-    def detail(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """An image (H, W) less its surroundings, and the local variance of what is left (H, W); 0 outside."""
-        left = (image - self(image)) * self._mask
-        return left, self.variance(left)
+    def detail(self, image: Tensor) -> Tensor:
+        """An image (H, W) less its surroundings; 0 outside."""
+        return (image - self(image)) * self._mask
 
     def variance(self, detail: Tensor) -> Tensor:
-        """The local variance (H, W) of a detail (H, W)."""
+        """The local variance (H, W) of a detail (H, W); 0 outside."""
         return self._blur(detail * detail)
 
 
@@ -146,11 +145,12 @@ def flatten(log_image: Tensor, mask: Tensor, around: LocalPlane, floor: float = 
         floor: contrast (in log units) below which nothing is amplified: noise, not relief.
         most: highlights and vessels are clamped here.
     """
-    return flat_of(*around.detail(log_image), mask, floor, most)
+    detail = around.detail(log_image)
+    return flat_of(detail, around.variance(detail), mask, floor, most)
 
 
 def flat_of(detail: Tensor, variance: Tensor, mask: Tensor, floor: float = 0.02, most: float = 3.0) -> Tensor:
-    """`flatten` (H, W) of what `LocalPlane.detail` gives."""
+    """`flatten` (H, W) of what `LocalPlane.detail` gives, and its local variance."""
     return (detail / (variance + floor**2).sqrt()).clamp(-most, most) * mask
 
 
@@ -163,7 +163,7 @@ def _least_squares(a: Tensor, b: Tensor) -> Tensor:
 
 
 def local_contrast(variance: Tensor, mask: Tensor) -> float:
-    """log10 of the median, over the picture, of the local standard deviation, from `LocalPlane.detail`'s (H, W)."""
+    """log10 of the median, over the picture, of the local standard deviation, from `LocalPlane.variance` (H, W)."""
     return float(variance[mask > 0].median().clamp_min(1e-12).log10()) / 2
 
 

@@ -21,8 +21,8 @@ WAVES = 1
 #: Walls alone give surfaces of this size (root mean square, log units; the median of drawn views), which are no
 #: shading: a fitted surface is shrunk towards 0 by as much (James and Stein, 1961, positive part).
 FAINT = 0.007
-#: A light that falls off ever faster leaves a bulge, and the mean of its surface is this share of its size or more; of
-#: walls it is negative in most drawn views. A surface with less counts less, and not at all from 0 on.
+#: A light that falls off ever faster leaves a bulge: the mean of its surface is a large share of its size; drawn walls
+#: leave hollows more often. One with a smaller share than this counts less, and none from 0 on. Set, not varied.
 BULGE = 0.4
 #: Robust regression: so many rounds of Cauchy's weights at so many median residuals.
 _ROUNDS, _CAUCHY = 4, 1.5

@@ -65,4 +65,4 @@ class StoneWatch:
 def watch_stones(tracker: Tracker, settings: StoneMapSettings, known: tuple[KnownStone, ...] = ()) -> StoneWatch:
     """What is to be fed with a tracker's answers, and tells it what hides the wall; ``known`` are a scan's stones."""
     stones = StoneMap(tracker.vid.kidney, tracker.lumen, tracker.working_camera, settings)
-    return StoneWatch(stones, known, lambda balls_mm: setattr(tracker.known, "balls_mm", balls_mm))
+    return StoneWatch(stones, known, tracker.known.tell)

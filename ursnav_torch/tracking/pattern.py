@@ -90,12 +90,16 @@ class KnownBodies:
         unit_mm: length of 1 mm of anatomy: the kidney's scale.
 
     Attributes:
-        balls_mm: (S, 4) x, y, z in the kidney frame, and radius.
+        balls_mm: (S, 4) x, y, z in the kidney frame, and radius, as told last.
     """
 
     def __init__(self, lumen: LumenDistance, unit_mm: float = 1.0) -> None:
         self._lumen, self._farthest = lumen, _FARTHEST_MM * unit_mm
-        self.balls_mm: Array = np.zeros((0, 4))
+        self.tell(np.zeros((0, 4)))
+
+    def tell(self, balls_mm: Array) -> None:
+        """From now on these balls (S, 4) are there, and no others."""
+        self.balls_mm = balls_mm
 
     def left_out(self, features: Features, T_kidney_camera: Array, camera: Camera, lens_mask: Tensor) -> Features:
         """Features of which the pixels that balls hide from about a pose (4, 4) are not valid.
