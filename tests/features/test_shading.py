@@ -2,6 +2,7 @@ import numpy as np
 import torch
 
 from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.features.default import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.flatten import LocalPlane, flat_of, flatten, masked_blur
 from ursnav_torch.features.shading import RimShading
 
@@ -73,6 +74,19 @@ def test_a_lens_that_shows_too_little_is_not_corrected() -> None:
     slit = torch.zeros(125, 125)
     slit[60:65, 100:120] = 1
     assert (RimShading(LENS, slit)(wall()) == 0).all()
+
+
+def test_a_real_picture_is_read_without_its_beam_and_a_drawn_view_as_it_is() -> None:
+    extractor = DefaultExtractor(DefaultSettings(learned=0.0), LENS)
+
+    def read(log_image: torch.Tensor, virtual: bool) -> torch.Tensor:
+        gray = ((log_image.exp() * MASK).clamp(0, 255)).byte().numpy()
+        return extractor.extract(gray, virtual, edges=False, bare=True).fields[0]
+
+    smooth, dimmer = 0.4 * wall() + 3.2, beam(0) / 6  # bright enough to leave no rim black
+    bare, seen, drawn = read(smooth, True), read(smooth + dimmer, False), read(smooth + dimmer, True)
+    assert 1 - likeness(bare, seen) < 0.7 * (1 - likeness(bare, drawn))
+    assert likeness(bare, read(smooth, False)) > 0.99
 
 
 def test_uncorrected_is_what_flatten_gives() -> None:

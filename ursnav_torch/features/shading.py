@@ -1,10 +1,11 @@
 """Shading correction: what a beam and a vignette leave in a picture's detail towards its rim, fitted and taken out.
 
-A beam narrower than the lens, beside it or turned, and the lens's vignette darken a picture towards its rim faster
-than any plane through the surroundings follows; a drawn view has nothing of the kind. Microscopes are corrected by a
-smooth surface fitted to each picture, too (Likar et al., Retrospective shading correction based on entropy
-minimization, J. Microsc. 197:285, 2000). Here it is fitted to the detail, in the outer part alone, where the wall has
-seldom anything that is the same all around, and only as far as it looks like a beam.
+A beam narrower than the lens, beside it or turned, and the lens's vignette darken a picture towards its rim faster than
+any plane through the surroundings follows; a drawn view has nothing of the kind. Microscopes are corrected by a smooth
+surface fitted to each picture, too (Likar et al., Retrospective shading correction based on entropy minimization, J.
+Microsc. 197:285, 2000). Here it is fitted to the detail, in the outer part alone, where the wall has seldom anything
+that is the same all around, and only as far as it looks like a beam. A rim that is all black looks like none and stays
+as it is.
 """
 
 import numpy as np
