@@ -1,0 +1,57 @@
+"""A track that a robot tells of: where it is looked for, how far off it may be, and what leaps it makes."""
+
+import numpy as np
+import pytest
+from flights import flight
+
+from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking.certainty import track_weights
+from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
+from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.vid import Vid
+
+
+def told_of(tracker: Tracker, renderer: RaycastRenderer, poses: np.ndarray, mm: float | None = 0.8) -> list[Tracked]:
+    """A flight of which the robot tells so much insertion a picture; None: it tells nothing."""
+    told = [None if mm is None else OdometryReading(mm * i) for i in range(len(poses))]
+    pictures = [renderer.render(T).image for T in poses]
+    return [tracker.step(p, i / 10, odometry=o) for i, (p, o) in enumerate(zip(pictures, told, strict=True))]
+
+
+def test_a_shaft_that_is_pulled_is_looked_for_where_its_tip_came_by(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = FilterSettings(every_s=0.0)  # every picture is weighed
+    tracker, poses, told = Tracker(vid, TrackSettings(filter=every)), flight(phantom, 2), []
+    told_of(tracker, renderer, poses)
+    follow_on = tracker._pursuit.follow
+    monkeypatch.setattr(
+        tracker._pursuit, "follow", lambda picture, anew: told.append(picture.told) or follow_on(picture, anew=anew)
+    )
+    back = len(poses) - 5
+    tracker.step(renderer.render(poses[back]).image, len(poses) / 10, odometry=OdometryReading(0.8 * back))
+    assert len(told) == 1 and len(told[0]) >= 2
+    assert min(np.linalg.norm(T[:3, 3] - poses[back, :3, 3]) for T in told[0][1:]) < 2.5
+
+
+def test_errors_are_those_of_tracks_that_a_robot_told_of_where_it_did(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer
+) -> None:
+    poses, weights = flight(phantom, 2), track_weights()
+    told, alone = told_of(Tracker(vid), renderer, poses)[-1], told_of(Tracker(vid), renderer, poses, None)[-1]
+    assert told.certainty is not None and alone.certainty is not None
+    assert told.certainty.region_sd == weights.position_told.region_sd
+    assert alone.certainty.region_sd == weights.position.region_sd != weights.position_told.region_sd
+
+
+def test_a_leap_to_where_no_robot_leads_must_fit_better(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    poses, s = flight(phantom, 2), ChallengerSettings()
+    between = (s.reacquire_below + s.leap_above) / 2
+    for led, leaps in ((False, False), (True, True)):
+        tracker, far = Tracker(vid), flight(phantom, 5)[-1]
+        told_of(tracker, renderer, poses)
+        near = far if led else poses[-1]
+        T = tracker._steady(far, between, len(poses) / 10, None, (near,))
+        assert bool(np.linalg.norm(T[:3, 3] - far[:3, 3]) < 1e-6) is leaps
