@@ -1,18 +1,15 @@
 """What the wall network sees before the wall in a flight's pictures, read once and kept."""
 
-import hashlib
-from pathlib import Path
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-import ursnav_torch.features
+from benchmarks.shared.fingerprints import sources
 from benchmarks.stones.flights import StoneFlight
 from ursnav_torch.camera import Camera
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
 from ursnav_torch.features.foreground import ForegroundBody, find_bodies
-from ursnav_torch.features.network import WEIGHTS, WallReader
+from ursnav_torch.features.network import WallReader
 
 _LEVELS = 255
 
@@ -28,8 +25,7 @@ def bodies_of(flight: StoneFlight, camera: Camera) -> list[tuple[ForegroundBody,
 
 def _read(flight: StoneFlight, extractor: DefaultExtractor) -> NDArray[np.uint8]:
     """(N, 2, h, w) probabilities of `foreground.KINDS` in steps of 1/255."""
-    weights = (Path(ursnav_torch.features.__file__).parent / WEIGHTS).read_bytes()
-    path = flight.folder / f"before_{hashlib.sha256(weights).hexdigest()[:8]}.npz"
+    path = flight.folder / f"before_{sources(('features',))[:8]}.npz"
     if not path.exists():
         reader = WallReader(extractor.working_camera, extractor.lens_mask)
         with torch.inference_mode():

