@@ -37,6 +37,7 @@ from benchmarks.shared.fingerprints import sources
 from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
+from benchmarks.stones.scores import NEAR_MM
 from ursnav_torch.autonomy import AutonomySettings, Explorer
 from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
 from ursnav_torch.devices import Limits
@@ -154,6 +155,7 @@ def facts(
         "disarmed": found.disarmed, "faults": found.faults[:5],
         "position_mm": np.percentile(found.off_mm, [50, 90]).tolist(),
         "states": {s: found.states.count(s) for s in dict.fromkeys(found.states)},
+        "stones": told_stones(found.stones, stone, blocked),
         "settings": asdict(careful),
         "calyces": [
             v.to_dict() | {"true_share": round(true_share[v.calyx], 4), "blocked": i == blocked,
@@ -161,6 +163,19 @@ def facts(
             for i, v in enumerate(visits)
         ],
     }  # fmt: skip
+
+
+def told_stones(told: Sequence[FoundStone], stone: Array, blocked: int) -> list[dict[str, Any]]:
+    """Of every stone that was told, the largest first: whether it is the true one (x, y, z, radius), and how well."""
+    found: list[dict[str, Any]] = []
+    for one in sorted(told, key=lambda s: -s.size_mm):
+        off, size = float(np.linalg.norm(one.center_mm - stone[:3])), 2 * float(stone[3])
+        right = off - size / 2 < NEAR_MM and not any(f["right"] for f in found)
+        found.append({
+            "right": right, "off_mm": off, "size_share": one.size_mm / size - 1, "size_mm": one.size_mm,
+            "in_calyx": one.calyx == blocked, "state": one.state,
+        })  # fmt: skip
+    return found
 
 
 def limits_passed(found: Rehearsed, limits: Limits) -> int:
@@ -252,9 +267,28 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
     for what, length in (("", "tour_mm"), (" that finds the stone, too", "tour_with_stone_mm")):
         ratios = [f["path_mm"] / f[length] for f in found]
         report.add("exploring", f"path over shortest tour{what}", "x", ratios)
+    add_stones(report, found)
     report.add("exploring", "limits passed", "times", [sum(f["limits_passed"] for f in found)], n=len(found))
     report.add("exploring", "disarmed by the watchdog", "times", [sum(f["disarmed"] for f in found)], n=len(found))
     report.add("exploring", "not finished in time", "kidneys", [sum(not f["finished"] for f in found)], n=len(found))
     report.add("exploring", "simulated time a kidney", "s", [f["seconds"] for f in found])
     report.add("exploring", "position error, median of a kidney", "mm", [f["position_mm"][0] for f in found])
     report.add("exploring", "position error, 90th percentile of a kidney", "mm", [f["position_mm"][1] for f in found])
+
+
+def add_stones(report: Report, found: Sequence[dict[str, Any]]) -> None:
+    """How well the stones of the kidneys were told."""
+    told = [s for f in found for s in f["stones"]]
+    right = [s for s in told if s["right"]]
+    report.add(
+        "exploring", "stones told", "%", [100 * len(right) / len(found)], f"{len(right)}/{len(found)}", len(found)
+    )
+    wrong = [sum(not s["right"] for s in f["stones"]) for f in found]
+    report.add("exploring", "stones told that are none, a kidney", "stones", wrong)
+    large = [sum(not s["right"] and s["size_mm"] >= 2 for s in f["stones"]) for f in found]
+    report.add("exploring", "stones told that are none, of 2 mm and more, a kidney", "stones", large)
+    if right:
+        calyx = 100 * sum(s["in_calyx"] for s in right) / len(right)
+        report.add("exploring", "stones told, in the right calyx", "%", [calyx], n=len(right))
+        report.add("exploring", "stones told, place off by", "mm", [s["off_mm"] for s in right])
+        report.add("exploring", "stones told, size off by", "%", [100 * abs(s["size_share"]) for s in right])

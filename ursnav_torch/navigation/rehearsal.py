@@ -80,6 +80,7 @@ class Rehearsed:
         off_mm: of every sighting with a pose, how far it was off.
         pressed_mm: the largest compression of the shaft since the picture before.
         limited: commands that limits cut.
+        stones: those that the newest picture's answer told of.
         disarmed: how often the watchdog or a stop disarmed the robot.
         faults: what went wrong.
     """
@@ -91,6 +92,7 @@ class Rehearsed:
     joints: list[Array] = field(default_factory=list)
     off_mm: list[float] = field(default_factory=list)
     pressed_mm: list[float] = field(default_factory=list)
+    stones: tuple[FoundStone, ...] = ()
     limited: int = 0
     disarmed: int = 0
     faults: list[str] = field(default_factory=list)
@@ -181,6 +183,7 @@ class Rehearsal:
         found.places_mm.append(self.twin.undisturbed[:3, 3].copy())
         found.states.append(self.explorer.machine.state.value)
         found.pressed_mm.append(pressed)
+        found.stones = sighting.stones
         if truth is not None:
             truth.add(T, self._period_s)
 
