@@ -12,6 +12,11 @@ from small_explorations import explore_whole, small_vid
 from ursnav_torch.page import web_page
 
 PATIENCE_S = 300.0
+#: Of every calyx on the strip: its name, whether it is the one headed for, and its verdict.
+STRIP = """() => [...document.querySelectorAll("#strip button")].map((b) => [
+  b.querySelector("b").textContent, b.getAttribute("aria-pressed") === "true",
+  b.querySelector(".verdict").textContent,
+])"""
 
 pytestmark = BROWSED
 
@@ -42,7 +47,7 @@ def watched(phantom, lens, tmp_path_factory):
 
 def test_a_whole_exploration_is_watched_until_every_calyx_is_inspected(watched):
     page, looks, brought, session = watched
-    errors, said = [], set()
+    errors, said, headed_for, inspected = [], set(), set(), []
     with chromium() as browser:
         tab = browser.new_page(viewport={"width": 1000, "height": 700})
         tab.set_default_timeout(1e3 * PATIENCE_S)
@@ -54,8 +59,13 @@ def test_a_whole_exploration_is_watched_until_every_calyx_is_inspected(watched):
         while "By itself: finished: every calyx was visited." not in (text := tab.inner_text("#status")):
             assert time.monotonic() < until, f"the status still says {text!r}"
             said |= set(re.findall(r"By itself: ([a-z ]+):", text))
+            strip = tab.evaluate(STRIP)
+            headed_for |= {name for name, aimed, _ in strip if aimed}
+            inspected.append(sum(verdict == "inspected" for _, _, verdict in strip))
             tab.wait_for_timeout(50)
         assert {"approaching", "retreating"} <= said, said
+        assert len(headed_for) >= 2, f"the strip follows the calyx that it heads for, but showed {headed_for}"
+        assert inspected[0] == 0 and {1, 2} & set(inspected) and inspected == sorted(inspected), inspected
         assert "All 3 inspected." in tab.inner_text("#status")
         strip = [re.sub(r"\s+", " ", text) for text in tab.locator("#strip button").all_inner_texts()]
         assert len(strip) == 3 and all("inspected" in text or "✓" in text for text in strip), strip
