@@ -27,9 +27,11 @@ class Policy(Protocol):
 
     Attributes:
         done: whether it wants to end.
+        looks: whether it looks at pictures; where none does, none are drawn.
     """
 
     done: bool
+    looks: bool
 
     def begin(self, env: ScopeEnv, seed: int) -> None:
         """An episode begins."""
@@ -41,7 +43,7 @@ class Policy(Protocol):
 class Drifting:
     """Sticks that wander at random: the floor."""
 
-    done = False
+    done, looks = False, False
 
     def begin(self, env: ScopeEnv, seed: int) -> None:
         """Draw from the seed."""
@@ -56,7 +58,7 @@ class Drifting:
 class Scripted:
     """Into one calyx after the other in the order of their names, and all the way back; it knows the true place."""
 
-    done = False
+    done, looks = False, False
 
     def begin(self, env: ScopeEnv, seed: int) -> None:
         """A pilot for this episode's scope."""
@@ -73,7 +75,7 @@ class Scripted:
 class Exploring:
     """This package's explorer, by places that are 0.3 mm and 1.5 degrees off on each axis."""
 
-    done = False
+    done, looks = False, False
 
     def begin(self, env: ScopeEnv, seed: int) -> None:
         """An explorer that has seen nothing yet."""

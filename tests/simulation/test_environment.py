@@ -6,6 +6,7 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium")
 
 from ursnav_torch.geometry import look_along  # noqa: E402
+from ursnav_torch.simulation import TissueSettings  # noqa: E402
 from ursnav_torch.simulation.environment import ScopeEnv  # noqa: E402
 
 
@@ -70,3 +71,14 @@ def test_stones_lie_where_the_seed_puts_them_stop_the_scope_and_are_in_the_pictu
     assert env.step(np.zeros(3))[4]["stones"] is laid[2]
     for e in (env, bare):
         e.close()
+
+
+def test_without_pictures_all_else_is_the_same(vid):
+    both = [ScopeEnv(vid, seconds=2.0, tissue=TissueSettings(), pictures=pictures) for pictures in (True, False)]
+    assert set(both[1].observation_space) == set(both[0].observation_space) - {"picture"}
+    for env in both:
+        env.reset(seed=4)
+    for _ in range(20):
+        (seen, *told, _), (bare, *bare_told, _) = (env.step([0.4, -0.2, 1.0]) for env in both)
+        assert bare in both[1].observation_space and told == bare_told
+        assert all(np.array_equal(bare[name], seen[name]) for name in ("joints", "seen"))

@@ -51,12 +51,20 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         tissue: what an operation does to kidney and scope; without it, it only breathes.
         stones: so many lie on the wall, where the seed puts them, as `StoneSettings` draws them; they stop the scope,
             and pictures show them.
+        pictures: whether observations have them; without, a step takes a third of the time.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / (CYCLES * CYCLE_S))}  # noqa: RUF012
 
-    def __init__(self, vid: Vid, seconds: float = 300.0, tissue: TissueSettings | None = None, stones: int = 0) -> None:
-        self.vid, self._longest_s, self._count = vid, seconds, stones
+    def __init__(
+        self,
+        vid: Vid,
+        seconds: float = 300.0,
+        tissue: TissueSettings | None = None,
+        stones: int = 0,
+        pictures: bool = True,
+    ) -> None:
+        self.vid, self._longest_s, self._count, self._pictures = vid, seconds, stones, pictures
         self._stones: tuple[Stone, ...] = ()
         self._tissue = tissue or TissueSettings(swells=False, bleeds=False, buckles=False)
         self.render_mode = "rgb_array"
@@ -65,11 +73,10 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         box, count = gymnasium.spaces.Box, len(vid.kidney.calyces)
         reach = np.array([Limits().max_bend_rad] * 2 + [Limits().max_insertion_mm]) + 1.0  # and what a report rounds
         self.action_space = box(-1.0, 1.0, (3,), np.float64)
-        self.observation_space = gymnasium.spaces.Dict(
-            picture=box(0, 255, (vid.camera.height, vid.camera.width), np.uint8),
-            joints=box(-reach, reach, (3,), np.float64),
-            seen=box(0.0, 1.0, (count,), np.float64),
-        )
+        spaces = {"joints": box(-reach, reach, (3,), np.float64), "seen": box(0.0, 1.0, (count,), np.float64)}
+        if pictures:
+            spaces["picture"] = box(0, 255, (vid.camera.height, vid.camera.width), np.uint8)
+        self.observation_space = gymnasium.spaces.Dict(spaces)
         self._clock = SimulatedTime()
 
     @property
@@ -96,6 +103,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         self.robot.connect()
         self.robot.arm()
         self.twin.drive_with(self.robot.axes_mm)
+        self._shares = np.zeros(len(kidney.calyces))
         return self._observed(), {"stones": self._stones}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -103,7 +111,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         sticks, limits = np.clip(np.asarray(action, float), -1.0, 1.0), self.robot.limits
         turn = sticks[:2] * limits.max_bend_rate_rad_s
         wanted = JointRates(float(turn[0]), float(turn[1]), float(sticks[2] * limits.max_insertion_rate_mm_s))
-        before, pressed = self._shares().sum(), 0.0
+        before, pressed = self._shares.sum(), 0.0
         for _ in range(CYCLES):
             self.robot.command(wanted, dead_man=True)
             self._clock.now_s += CYCLE_S
@@ -112,8 +120,9 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         self.robot.read()
         self.coverage.add(T, CYCLES * CYCLE_S)
         calyces = self.coverage.calyces()
+        self._shares = np.array([c.share for c in calyces])
         done = all(c.verdict in (INSPECTED, OUT_OF_REACH) for c in calyces)
-        reward = float(self._shares().sum() - before) - PRESSED_COSTS * pressed
+        reward = float(self._shares.sum() - before) - PRESSED_COSTS * pressed
         verdicts = {c.calyx: c.verdict for c in calyces}
         facts = {"T_kidney_camera": T, "pressed_mm": pressed, "verdicts": verdicts, "stones": self._stones}
         return self._observed(), reward, done, self.now_s >= self._longest_s, facts
@@ -137,10 +146,8 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         seen = simulate_labeled(renderer.render(T), renderer.camera, T, faults, self.np_random, self._stones)
         return np.asarray(cv2.cvtColor(seen.image, cv2.COLOR_BGR2GRAY), np.uint8)
 
-    def _shares(self) -> Array:
-        return np.array([c.share for c in self.coverage.calyces()])
-
     def _observed(self) -> Observation:
         at = self.robot.reported
         joints = np.array([at.bend_x_rad, at.bend_y_rad, at.insertion_mm])
-        return {"picture": self.twin.image(), "joints": joints, "seen": self._shares()}
+        seen = {"joints": joints, "seen": self._shares.copy()}
+        return seen | {"picture": self.twin.image()} if self._pictures else seen
