@@ -8,8 +8,9 @@ stays on its own.
 import ctypes
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import torch
 
@@ -20,6 +21,8 @@ _WORTH_A_THREAD = 2e8
 #: thread, as usual, what one thread freed serves no other: a session of sixteen threads grew by 0.27 MiB a
 #: minute, with two arenas by 0.05 (``python -m benchmarks.session minutes=30 faults_every_s=10``).
 _ARENAS, _M_ARENA_MAX = 2, -8
+
+T = TypeVar("T")
 
 _lock = threading.Lock()
 _nested = 0
@@ -52,6 +55,29 @@ def one_thread_an_operation() -> Iterator[int]:
             _nested -= 1
             if _nested == 0 and threads > 1:
                 torch.set_num_threads(threads)
+
+
+def meanwhile(work: Callable[[], T]) -> Callable[[], T]:
+    """Start ``work`` beside what follows; what is given back waits for its end and gives what it gave, or its error.
+
+    Where PyTorch was given a single thread, the work is done when it is asked for.
+    """
+    with _lock:
+        threads = _threads_before if _nested else torch.get_num_threads()
+    if threads == 1:
+        return work
+    done: Future[T] = Future()
+    inference = torch.is_inference_mode_enabled()
+
+    def run() -> None:
+        try:
+            with torch.inference_mode(inference):  # the caller's mode, which threads do not inherit
+                done.set_result(work())
+        except BaseException as error:  # it is raised again where the result is asked for
+            done.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return done.result
 
 
 def map_chunks(work: Callable[[slice], None], count: int, chunk: int, cost: float) -> None:

@@ -3,8 +3,12 @@
 import platform
 import subprocess
 import sys
+import threading
 
 import pytest
+import torch
+
+from ursnav_torch.threads import meanwhile
 
 #: Prints how many arenas twelve threads made that allocate at the same time; ``malloc_info`` tells them.
 TWELVE = """
@@ -34,3 +38,18 @@ def arenas(first: str) -> int:
 def test_threads_share_two_arenas_and_have_more_otherwise() -> None:
     assert arenas("") > 2
     assert arenas("from ursnav_torch.threads import share_arenas; assert share_arenas()") == 2
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_work_meanwhile_gives_its_result_in_the_mode_of_who_started_it(threads: int, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    with torch.inference_mode():
+        who, mode = meanwhile(lambda: (threading.get_ident(), torch.is_inference_mode_enabled()))()
+    assert mode and (who == threading.get_ident()) == (threads == 1)
+
+
+def test_an_error_of_work_meanwhile_is_raised_where_the_result_is_asked_for(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    wait = meanwhile(lambda: [][0])
+    with pytest.raises(IndexError):
+        wait()

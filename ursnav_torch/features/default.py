@@ -24,6 +24,7 @@ from ursnav_torch.features.network import WallReader
 from ursnav_torch.features.polar import polar_grid, polar_maps
 from ursnav_torch.features.sampling import check_method, sample
 from ursnav_torch.features.shading import RimShading
+from ursnav_torch.threads import meanwhile
 
 #: Smoothing, as a part of the picture's shorter side, beyond which structure counts as coarse.
 COARSE = 0.024
@@ -121,6 +122,10 @@ class DefaultExtractor:
         check_image(image, self.camera)
         gray = signal(image)
         refuse_blank(gray.flatten()[self._probes])
+        reading = None
+        if not virtual and self._network is not None:
+            network, relief_too = self._network, not bare or self._learned > 0
+            reading = meanwhile(lambda: network.read(image) if relief_too else (NOTHING_READ, network.before(image)))
         log_image = self._small_log(gray)
         detail = self._around.detail(log_image)
         if not virtual:  # a drawn view's lamp is in the lens
@@ -134,11 +139,9 @@ class DefaultExtractor:
             grain = local_contrast(variance, self._small_mask) - contrast
         bodies: tuple[ForegroundBody, ...] = ()
         read = NOTHING_READ
-        if not virtual and self._network is not None:
-            if bare and not self._learned:
-                before = self._network.before(image)
-            else:
-                read, before = self._network.read(image)
+        if reading is not None:
+            read, before = reading()
+            if read.numel():
                 relief = blend(relief, read[0], self._small_mask, self._learned)
             bodies = find_bodies(before, self._small_mask, self.camera.width / self.working_camera.width)
             valid = self._small_mask * (1 - before.amax(0))
@@ -208,11 +211,12 @@ class DefaultExtractor:
         return gradient(self._blurs[blurred](relief))
 
     def _edges(self, ridge: Tensor) -> NDArray[np.bool_]:
-        on = ridge[ridge > 1e-4]
+        strength = ridge.numpy()
+        on = strength[strength > 1e-4]
         if len(on) < self.settings.min_points:
-            return np.zeros(tuple(ridge.shape), bool)
-        low, high = torch.quantile(on, torch.tensor([self.settings.low, self.settings.high]) / 100).tolist()
-        return link(ridge, low, high, max(2, round(self.settings.min_length * self._unit)))
+            return np.zeros(strength.shape, bool)
+        low, high = np.percentile(on, (self.settings.low, self.settings.high))
+        return link(ridge, float(low), float(high), max(2, round(self.settings.min_length * self._unit)))
 
 
 def blend(photometric: Tensor, learned: Tensor, mask: Tensor, share: float) -> Tensor:

@@ -3,8 +3,10 @@
 What is left is the wall's relief, whatever the exposure, the light's place and the lens's vignette were.
 """
 
+import math
 from functools import lru_cache
 
+import numpy as np
 import torch
 from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
@@ -164,7 +166,9 @@ def _least_squares(a: Tensor, b: Tensor) -> Tensor:
 
 def local_contrast(variance: Tensor, mask: Tensor) -> float:
     """log10 of the median, over the picture, of the local standard deviation, from `LocalPlane.variance` (H, W)."""
-    return float(variance[mask > 0].median().clamp_min(1e-12).log10()) / 2
+    inside = variance.numpy()[mask.numpy() > 0]
+    middle = (len(inside) - 1) // 2
+    return math.log10(max(float(np.partition(inside, middle)[middle]), 1e-12)) / 2
 
 
 def _smooth(rows: Tensor, weight: Tensor) -> Tensor:

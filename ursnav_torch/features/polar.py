@@ -79,9 +79,11 @@ def polar_maps(fields: Tensor, polar: PolarGrid, valid: Tensor | None = None) ->
     sampled = _sampled(fields, polar).view(channels, n, *polar.grid.shape[1:3]).transpose(0, 1)
     counts = (polar.inside if valid is None else valid)[:, None]
     sampled = sampled * polar.inside[:, None]
-    maps = [_relief(sampled[:, :1], polar.weight, counts)]
-    maps += [_directions(sampled[:, c : c + 2], polar, counts) for c in range(1, channels, 2)]
-    return torch.cat(maps, 1)
+    maps = torch.empty(sampled.shape)
+    maps[:, :1] = _relief(sampled[:, :1], polar.weight, counts)
+    for c in range(1, channels, 2):
+        _directions(sampled[:, c : c + 2], polar, counts[:, 0], maps[:, c : c + 2])
+    return maps
 
 
 def polar_valid(valid: Tensor, polar: PolarGrid) -> Tensor:
@@ -112,17 +114,26 @@ def _relief(relief: Tensor, weight: Tensor, counts: Tensor) -> Tensor:
     return _unit_length((relief - mean) * counts * weight.sqrt())
 
 
-def _directions(gradient: Tensor, polar: PolarGrid, counts: Tensor, softness: float = 0.9) -> Tensor:
+def _directions(gradient: Tensor, polar: PolarGrid, counts: Tensor, out: Tensor, softness: float = 0.9) -> None:
+    """One pair of `polar_maps` (N, 2, R, A), into ``out``, where places count (N, R, A): its own length at every place
+    is known beforehand, so that it is brought to unit length in the same pass."""
     across, along = torch.view_as_real(polar.outward).unbind(-1)
     x, y = gradient[:, 0], gradient[:, 1]
-    out, around = x * across + y * along, y * across - x * along
-    square_out, square_around = out.square(), around.square()
+    outward, around = (x * across).addcmul_(y, along), (y * across).addcmul_(x, along, value=-1)
+    square_out, square_around = outward.square(), around.square()
     strength = square_out + square_around
     half = softness * strength[0].median().sqrt() + 1e-9
-    share = polar.weight.sqrt() / (strength + half * half)
-    return _unit_length(torch.stack([square_out - square_around, 2 * out * around], 1) * share[:, None] * counts)
+    share = polar.weight.sqrt() * counts / (strength + half * half)
+    share /= _length(strength * share)
+    torch.mul(square_out.sub_(square_around), share, out=out[:, 0])
+    torch.mul(outward.mul_(around), share.mul_(2), out=out[:, 1])
 
 
 def _unit_length(field: Tensor) -> Tensor:
     """Fields (N, c, R, A) each scaled to Euclidean length 1; a field of nothing stays zero."""
-    return field / field.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None, None]
+    return field / _length(field)[..., None]
+
+
+def _length(field: Tensor) -> Tensor:
+    """Euclidean lengths (N, 1, 1) of fields (N, ...), no less than 1e-9."""
+    return field.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None]

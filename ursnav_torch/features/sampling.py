@@ -132,24 +132,22 @@ def _evenly(mass: NDArray[np.float64], n: int) -> NDArray[np.int64]:
 def _farthest(points: NDArray[np.float64], n: int, weights: NDArray[np.float64]) -> NDArray[np.int64]:
     """Farthest-point sampling (n,), from the point farthest from the middle on."""
     chosen = np.empty(n, np.int64)
-    x, y = np.ascontiguousarray(points.T)
-    squared_weights, left = weights**2, np.full(len(points), np.inf)
-    worth, step, across = (np.empty(len(points)) for _ in range(3))
+    places, squared_weights = np.ascontiguousarray(points.T), weights**2
+    left, off, worth = np.full(len(points), np.inf), np.empty_like(places), np.empty(len(points))
 
-    def weigh(x0: float, y0: float) -> None:
-        """How far each point is from a place, squared, times its weight: all in arrays that are there."""
-        np.subtract(x, x0, out=worth)
-        np.multiply(worth, worth, out=worth)
-        np.subtract(y, y0, out=step)
-        np.multiply(step, step, out=step)
-        np.add(worth, step, out=worth)
+    def weigh(place: NDArray[np.float64]) -> None:
+        """How far each point is from a place (2, 1), squared, times its weight: all in arrays that are there."""
+        np.subtract(places, place, out=off)
+        np.multiply(off, off, out=off)
+        np.add(off[0], off[1], out=worth)
+        np.multiply(worth, squared_weights, out=worth)
 
-    weigh(*points.mean(0))
-    np.multiply(worth, squared_weights, out=across)
+    weigh(points.mean(0)[:, None])
+    across = worth
     for i in range(n):
         chosen[i] = at = across.argmax()
-        weigh(x[at], y[at])
+        weigh(places[:, at : at + 1])
         np.minimum(left, worth, out=left)
         left[at] = -1.0
-        np.multiply(left, squared_weights, out=across)
+        across = left
     return chosen

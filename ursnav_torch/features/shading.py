@@ -53,25 +53,27 @@ class RimShading:
         rise = (far - INNER).clamp_min(0)
         around = [torch.ones_like(far), *(f(k * angle) for k in range(1, WAVES + 1) for f in (torch.cos, torch.sin))]
         surfaces = torch.stack([growth * wave for growth in (rise, rise * rise) for wave in around])
-        self._surfaces, self._inside = surfaces * mask, max(1.0, float(mask.sum()))
-        self._fitted = ((far > _FITTED) & (mask > 0)).flatten().nonzero().flatten()[::_EVERY]
-        level = torch.ones(1, len(self._fitted))
-        self._columns = torch.cat([level, surfaces.flatten(1)[:, self._fitted]])
+        self._surfaces, self._inside = (surfaces * mask).flatten(1).numpy(), max(1.0, float(mask.sum()))
+        self._fitted = ((far > _FITTED) & (mask > 0)).flatten().nonzero().flatten()[::_EVERY].numpy()
+        level = np.ones((1, len(self._fitted)), np.float32)
+        self._columns = np.concatenate([level, surfaces.flatten(1).numpy().take(self._fitted, 1)])
+        self._held = 1 + _RIDGE * np.eye(len(self._columns), dtype=np.float32)
 
     def __call__(self, detail: Tensor) -> Tensor:
         """The shading (H, W) in a detail (H, W), see `LocalPlane.detail`; 0 where the lens shows too little to tell."""
         if len(self._fitted) < _LEAST_PIXELS:
             return torch.zeros_like(detail)
-        values, weight = detail.flatten()[self._fitted], torch.ones(len(self._fitted))
+        values, columns = detail.flatten().numpy()[self._fitted], self._columns
+        weight, middle = np.ones(len(values), np.float32), (len(values) - 1) // 2
         for _ in range(_ROUNDS):
-            weighted = self._columns * weight
-            normal = weighted @ self._columns.T
-            normal += _RIDGE * torch.diag(normal.diagonal()) + 1e-9 * torch.eye(len(normal))
-            found = torch.linalg.solve(normal, weighted @ values)
-            left = values - found @ self._columns
-            scale = _CAUCHY * left.abs().median().clamp_min(1e-4)
-            weight = 1 / (1 + (left / scale).square())
-        surface = torch.tensordot(found[1:], self._surfaces, 1)
-        size = max(float(surface.square().sum() / self._inside) ** 0.5, 1e-6)
+            weighted = columns * weight
+            normal = (weighted @ columns.T) * self._held
+            found = np.linalg.solve(normal, (weighted * values).sum(1))
+            left = values - found @ columns
+            scale = _CAUCHY * max(float(np.partition(np.abs(left), middle)[middle]), 1e-4)
+            weight = 1 / (1 + np.square(left / np.float32(scale)))
+        surface = (found[1:] @ self._surfaces).reshape(detail.shape)
+        size = max(float(np.square(surface).sum() / self._inside) ** 0.5, 1e-6)
         bulge = float(surface.sum() / self._inside) / size
-        return surface * max(0.0, 1 - (FAINT / size) ** 2) * min(max(bulge / BULGE, 0.0), 1.0)
+        counts = max(0.0, 1 - (FAINT / size) ** 2) * min(max(bulge / BULGE, 0.0), 1.0)
+        return torch.from_numpy(surface * np.float32(counts))
