@@ -21,6 +21,18 @@ def test_means_over_each_side() -> None:
             torch.testing.assert_close(found, expected)
 
 
+@pytest.mark.parametrize("sides", ["query_to_view", "view_to_query", "sum"])
+@pytest.mark.parametrize(("keep", "kept"), [(1.0, 7), (0.6, 4)])
+def test_an_assignment_names_the_cheapest_counterparts_beside_the_distance(sides: str, keep: float, kept: int) -> None:
+    method = Nearest(sides, keep)  # type: ignore[arg-type]
+    found = method.assign(MASKED, SHARES, EVEN)
+    torch.testing.assert_close(found.distance, method.reduce(MASKED.clone(), SHARES, EVEN))
+    cheapest = MASKED.min(2)
+    assert torch.equal(found.view_point, cheapest.indices.T)
+    ranks = cheapest.values.argsort(0).argsort(0).T
+    assert torch.equal(found.strength, (ranks < kept).float())
+
+
 def test_weights_count_rows() -> None:
     weights = torch.tensor([0.5, 0.5, 0, 0, 0, 0, 0])
     found = Nearest(keep=1.0).reduce(MASKED.clone(), SHARES, weights)

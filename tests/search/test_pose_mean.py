@@ -44,3 +44,13 @@ def test_one_place_is_near_in_way_and_in_turn() -> None:
     turned[:3, :3] = Rotation.from_rotvec([0, 0, np.radians(26)]).as_matrix()
     assert are_near(np.stack([np.eye(4), far, turned]), np.eye(4), 3.0, 25.0).tolist() == [True, False, False]
     assert are_near(np.zeros((0, 4, 4)), np.eye(4), 3.0, 25.0).shape == (0,)
+
+
+def test_rotations_have_scipys_mean_however_far_they_are_turned() -> None:
+    rng = np.random.default_rng(5)
+    for spread in (1.0, 20.0, 50.0):
+        T, weight = poses(rng, 5, 0.1, spread), rng.random(5) + 0.1
+        mean, share = mean_pose(T, weight, 0, near_mm=3.0, near_deg=180.0)
+        expected = Rotation.from_matrix(T[:, :3, :3]).mean(weights=weight).as_matrix()
+        assert share == 1.0
+        np.testing.assert_allclose(mean[:3, :3], expected, atol=1e-9)

@@ -106,3 +106,21 @@ def test_where_all_is_valid_a_masked_scan_is_the_plain_one(scan: RollScan) -> No
     plain, masked = scan.scan(query), scan.scan(query, valid=torch.ones(1, RINGS, SECTORS))
     torch.testing.assert_close(masked.score, plain.score, atol=1e-4, rtol=0)
     torch.testing.assert_close(masked.roll, plain.roll, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_first_look_is_the_scan_by_few_frequencies(scan: RollScan, masked: bool, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """These maps have five, so that ten are all of them and three are not."""
+    query, valid = torch.stack([maps(4, 0.5), maps(9)]), None
+    if masked:
+        valid = torch.ones(2, RINGS, SECTORS)
+        valid[:, :, 20:40] = 0
+        query = query * valid[:, None]
+    full = scan.scan(query, valid=valid).score
+    tolerance = 0.02 if masked else 1e-5  # a mask has edges, of all frequencies
+    torch.testing.assert_close(scan.first_look(query, valid=valid), full, atol=tolerance, rtol=0)
+    torch.testing.assert_close(
+        scan.first_look(query, torch.tensor([4, 1]), valid), full[[4, 1]], atol=tolerance, rtol=0
+    )
+    monkeypatch.setattr("ursnav_torch.search.scan.FEW_FREQUENCIES", 3)
+    assert float((scan.first_look(query, valid=valid) - full).abs().max()) > 0.05

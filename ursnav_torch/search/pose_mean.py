@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ursnav_torch.geometry import transform_from
 
@@ -31,8 +30,17 @@ def mean_pose(
     T = T_kidney_camera
     near = are_near(T, T[row], near_mm, near_deg)
     w = weight[near]
-    R = Rotation.from_matrix(T[near, :3, :3]).mean(weights=w).as_matrix()
-    return transform_from(R, np.average(T[near, :3, 3], axis=0, weights=w)), float(w.sum() / weight.sum())
+    share = w / w.sum()
+    R = _nearest_rotation(np.einsum("n,nij->ij", share, T[near, :3, :3]))
+    return transform_from(R, share @ T[near, :3, 3]), float(w.sum() / weight.sum())
+
+
+def _nearest_rotation(M: Array) -> Array:
+    """The rotation (3, 3) nearest to a matrix (3, 3): of a weighted sum of rotations, their chordal mean (Hartley et
+    al., Rotation averaging, IJCV 103:267, 2013), which is that of their quaternions as well."""
+    U, _, Vt = np.linalg.svd(M)
+    U[:, 2] *= np.linalg.det(U @ Vt)
+    return np.asarray(U @ Vt)
 
 
 def are_near(T_a: Array, T_b: Array, near_mm: float, near_deg: float) -> NDArray[np.bool_]:

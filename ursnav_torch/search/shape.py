@@ -47,10 +47,8 @@ def turn_edges(edges: EdgePoints, camera: Camera, R: NDArray[np.float64]) -> tup
     """
     pixels = edges.points.numpy().astype(float)
     along = np.stack([np.cos(edges.direction.numpy()), np.sin(edges.direction.numpy())], axis=1)
-    here, ahead = camera.rays(pixels)[0], camera.rays(pixels + 0.5 * along)[0]
-    turned = np.swapaxes(R, 1, 2)
-    there, _ = camera.project(here @ turned)
-    beyond, _ = camera.project(ahead @ turned)
-    step = beyond - there
-    direction = np.remainder(np.arctan2(step[..., 1], step[..., 0]), np.pi)
-    return torch.from_numpy(there).float(), torch.from_numpy(direction).float()
+    rays = camera.rays(np.stack([pixels, pixels + 0.5 * along]))[0]  # (2, N, 3): here and ahead
+    turned = (rays[:, None] @ np.swapaxes(R, 1, 2)).astype(np.float32)  # (2, K, N, 3)
+    x, y = camera.pixels(np.ascontiguousarray(np.moveaxis(turned, -1, 0)))
+    direction = np.remainder(np.arctan2(y[1] - y[0], x[1] - x[0]), np.float32(np.pi))
+    return torch.from_numpy(np.stack([x[0], y[0]], -1)), torch.from_numpy(direction)

@@ -12,10 +12,11 @@ from ursnav_torch.features import Features, PolarGrid, polar_grid, polar_maps, p
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.matching import Matching
 from ursnav_torch.search.ranking import Ranking, view_from_query
-from ursnav_torch.search.scan import RollScan, ScanResult, tilts
+from ursnav_torch.search.scan import RollScan, tilts
 from ursnav_torch.search.screening import ScreenedViews
 from ursnav_torch.search.settings import SearchSettings, best_first, default_matching
 from ursnav_torch.search.shape import ShapeStage
+from ursnav_torch.threads import meanwhile
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -76,21 +77,32 @@ class ViewSearch:
         if not self.scans or not features.maps.numel():
             found = self._by_shape(features)
             return found.at(best_first(found.score, s.finalists))
-        views = None if self._screened is None else self._screened.likeliest(self._seen(features, self._straight)[0][0])
-        straight = self._scanned(features, self._straight, views).score
+        tilted, (maps, valid) = (
+            meanwhile(lambda: self._seen(features, self._grids)),
+            self._seen(features, self._straight),
+        )
+        views = None if self._screened is None else self._screened.likeliest(maps[0])
+        scan, rows = self._scan_of(views)
+        straight = scan.first_look(maps, rows, valid)
         best = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
-        found = self.at_tilts(features, best if views is None else views[best])
+        found = self._at_tilts(tilted(), best if views is None else views[best])
         found = self.with_shapes(features, found.at(best_first(found.score, s.finalists)))
         return found.at(best_first(found.score, s.finalists))
 
     def everywhere(self, features: Features) -> Ranking:
         """Every view of the VID, in its order, at the roll that suits it best and no tilt."""
-        found = self._scanned(features, self._straight)
+        maps, valid = self._seen(features, self._straight)
+        found = self._scan_of(None)[0].scan(maps, None, valid)
         return self._ranking(np.arange(len(self._T)), found.score.numpy(), found.roll.numpy(), np.eye(3))
 
     def at_tilts(self, features: Features, views: Rows) -> Ranking:
         """Views (K,), in their order, each at the tilt and roll that suit it best."""
-        found = self._scanned(features, self._grids, views)
+        return self._at_tilts(self._seen(features, self._grids), views)
+
+    def _at_tilts(self, seen: tuple[Tensor, Tensor | None], views: Rows) -> Ranking:
+        """`at_tilts` of what is `_seen` there."""
+        scan, rows = self._scan_of(views)
+        found = scan.scan(seen[0], rows, seen[1])
         return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
 
     def with_shapes(self, features: Features, found: Ranking) -> Ranking:
@@ -105,14 +117,13 @@ class ViewSearch:
         score = found.score + weight * (1 - assignment.distance.numpy().astype(float))
         return replace(found, score=score, best_score=found.best_score + weight, assignment=assignment)
 
-    def _scanned(self, features: Features, grids: PolarGrid, views: Rows | None = None) -> ScanResult:
-        """The exact scan of views (K,), of all where None, through the cameras of the grids."""
-        maps, valid = self._seen(features, grids)
+    def _scan_of(self, views: Rows | None) -> tuple[RollScan, Tensor | None]:
+        """The exact scan of views (K,), of all where None, and where these are in it, None for all that it has."""
         if views is not None and self._screened is not None:
-            return self._screened.exactly(views).scan(maps, None, valid)
+            return self._screened.exactly(views), None
         if self._scan is None:
             self._scan = self._scan_of_all()
-        return self._scan.scan(maps, None if views is None else torch.from_numpy(views), valid)
+        return self._scan, None if views is None else torch.from_numpy(views)
 
     def _scan_of_all(self) -> RollScan:
         return RollScan(self._maps, self.settings.channel_weights(self._maps.shape[1]))

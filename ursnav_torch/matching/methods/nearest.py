@@ -53,11 +53,14 @@ class Nearest:
 
     def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
         """See `Method.assign`: each query point's cheapest counterpart, the best `keep` of them."""
-        best, view_point = cost.min(2)
-        distance = self.combine(best, cost.amin(0), shares, weights)
-        kept = max(1, round(self.keep * len(best)))
+        cheapest = torch.from_numpy(cost.numpy().argmin(2))  # NumPy's is vectorized, PyTorch's is not
+        best = cost.gather(2, cheapest[..., None])[..., 0]
+        of_views = best.T if self.sides == "query_to_view" else cost.amin(0)  # nobody asks those
+        distance, kept = self.combine(best, of_views, shares, weights), max(1, round(self.keep * len(best)))
+        if kept == len(best):
+            return Assignment(distance, cheapest.T, torch.ones(best.T.shape))
         strength = torch.zeros(best.T.shape).scatter_(1, best.T.topk(kept, 1, largest=False).indices, 1.0)
-        return Assignment(distance, view_point.T, strength)
+        return Assignment(distance, cheapest.T, strength)
 
     def pairs(self, cost: Tensor, weights: Tensor) -> Correspondences:
         """The cheapest counterpart of each query point, the best `keep` of them, cheapest first; see `Method.pairs`."""
