@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.alignment import align
 from ursnav_torch.alignment.align import Aligner
 from ursnav_torch.alignment.fields import AlignGrid, Fields
-from ursnav_torch.alignment.gauss_newton import tukey
+from ursnav_torch.alignment.gauss_newton import correlated, normal_equations, tukey
 from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
@@ -137,3 +137,57 @@ def test_what_is_not_valid_does_not_pull(aligner: Aligner, pairs) -> None:  # ty
                 off(aligner.align(spoiled, start[None], iterations=8, light_known=True)[0].T_kidney_camera, T)[0]
             )
     assert np.median(left["weighed"]) < 0.25 < np.median(left["blind"])
+
+
+def test_normal_equations_are_those_of_the_rows_written_out() -> None:
+    rng = np.random.default_rng(0)
+    motion, gradient, lit, b, weight, residual = (
+        rng.random(size).astype(np.float32)
+        for size in ((2, 6, 2, 50), (2, 2, 3, 50), (2, 5, 3, 50), (2, 3, 1), (2, 3, 50), (2, 3, 50))
+    )
+    for lights in (lit, lit[:, :0]):
+        of_pose = np.einsum("bikn,bkcn->bicn", motion, gradient)
+        rows = np.concatenate([of_pose, -b[:, None] * lights], 1)
+        normal, slant = normal_equations(motion, gradient, lights, b, weight, residual)
+        np.testing.assert_allclose(normal, np.einsum("bicn,bcn,bjcn->bij", rows, weight, rows), rtol=1e-4)
+        np.testing.assert_allclose(slant, np.einsum("bicn,bcn,bcn->bi", rows, weight, residual), rtol=1e-4)
+
+
+def test_correlations_are_weighted_by_how_much_pixels_count() -> None:
+    rng = np.random.default_rng(1)
+    fields, good = rng.normal(size=(2, 7, 80)).astype(np.float32), (rng.random((2, 80)) > 0.3).astype(np.float32)
+    fields[:, 3] += 2 * fields[:, 0] + 5
+    fields[:, -1] = 1
+    count, correlation, a, b, c = correlated(fields, good)
+    for i in range(2):
+        seen = fields[i][:, good[i] > 0]
+        assert count[i] == seen.shape[1]
+        expected = [np.corrcoef(seen[k], seen[k + 3])[0, 1] for k in range(3)]
+        np.testing.assert_allclose(correlation[i], expected, atol=1e-4)
+        residual = seen[:1] * a[i, 0] - seen[3:4] * b[i, 0] + c[i, 0]
+        assert abs(residual.mean()) < 1e-4 and residual.var() == pytest.approx(1 - expected[0] ** 2, abs=1e-3)
+
+
+def test_an_alignment_that_another_follows_is_given_up_a_step_earlier(aligner: Aligner, pairs) -> None:  # type: ignore[no-untyped-def]
+    taken = {False: 0, True: 0}
+    for seen, _, start in pairs:
+        ends = {last: aligner.align(seen, start[None], iterations=12, last=last)[0] for last in taken}
+        taken = {last: taken[last] + end.iterations for last, end in ends.items()}
+        assert ends[True].score - ends[False].score < 3e-3
+    assert taken[True] - len(pairs) <= taken[False] < taken[True]
+
+
+def test_walls_are_cast_once_for_poses_that_are_asked_for_again(aligner: Aligner, pairs, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    poses, light = np.stack([pairs[0][1], pairs[1][1], pairs[2][1]]), AT_CAMERA[None].repeat(3, 0)
+    reliefs, distances = aligner.looks(poses, light)
+    cast, counts = aligner._scene.cast, []
+    monkeypatch.setattr(aligner._scene, "cast", lambda o, d: (counts.append(len(o)), cast(o, d))[1])
+    again, there = aligner.looks(poses[::-1], light)
+    assert not counts
+    np.testing.assert_array_equal(again[::-1], reliefs)
+    np.testing.assert_array_equal(there[::-1], distances)
+    moved = poses.copy()
+    moved[1, 0, 3] += 0.01
+    fresh = aligner.looks(moved, light)[0]
+    assert sum(counts) == aligner._rays.shape[1] and (fresh[1] != reliefs[1]).any()
+    np.testing.assert_array_equal(fresh[[0, 2]], reliefs[[0, 2]])

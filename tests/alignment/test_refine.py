@@ -147,7 +147,9 @@ def test_hypotheses_that_end_at_one_pose_are_aligned_finely_once(
     starts = [pushed(T, rng, 0.3, 2.0) for _ in range(4)]
     aligned = refiner.finely
     monkeypatch.setattr(
-        refiner, "finely", lambda f, states, known: (counts.append(len(states)), aligned(f, states, known))[1]
+        refiner,
+        "finely",
+        lambda f, states, *how, **last: (counts.append(len(states)), aligned(f, states, *how, **last))[1],
     )
     for same_mm in (0.0, 0.3):
         found = refiner.refine(features(fine, phantom, T), starts, Expectation(same_mm=same_mm, same_deg=2.0))

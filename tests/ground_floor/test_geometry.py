@@ -130,3 +130,11 @@ def test_axis_conventions_are_their_own_inverses() -> None:
         g.check_rigid(T, "T")
     np.testing.assert_array_equal(g.apply(g.T_OPENGL_OPENCV, [1, 2, 3]), [1, -2, -3])
     np.testing.assert_array_equal(g.apply(g.T_RAS_LPS, [1, 2, 3]), [-1, -2, 3])
+
+
+def test_rotation_vectors_turn_as_scipys_do() -> None:
+    rotvecs = np.random.default_rng(4).normal(size=(20, 3)) * np.array([[0.0], [1e-9], [1e-4], [1.0], [3.0]]).repeat(
+        4, 0
+    )
+    np.testing.assert_allclose(g.turned_by(rotvecs), Rotation.from_rotvec(rotvecs).as_matrix(), atol=1e-12)
+    assert g.turned_by(np.zeros((0, 3))).shape == (0, 3, 3)

@@ -9,13 +9,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment.fields import AlignGrid, Fields, Floats
 from ursnav_torch.alignment.gauss_newton import FIELDS, correlated, normal_equations, tukey
 from ursnav_torch.alignment.light import AT_CAMERA, MOST, SPREAD, STEP, gray_values, within_limits
-from ursnav_torch.geometry import inverse, transform_from
+from ursnav_torch.geometry import inverse, transform_from, turned_by
 from ursnav_torch.rendering import RayScene
+from ursnav_torch.threads import meanwhile
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,8 @@ LEAST_PIXELS = 150
 _DAMPING = 1e-3
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
-_PROGRESS, _PATIENCE = 1e-3, 2  # an alignment ends after so many steps whose score is not better by this
+_PROGRESS = 1e-3  # an alignment ends after some steps whose score is not better by this:
+_LAST_PATIENCE, _PATIENCE = 2, 1  # so many, in the last and in one that another follows
 _CONVERGED = np.array([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3])  # mm and radians
 
 
@@ -100,7 +101,7 @@ class _Ways:
         self.best_T, self.best_light, self.best_score = self.T.copy(), self.light.copy(), np.full(count, -1.0)
         self.taken, self._stalled = np.zeros(count, int), np.zeros(count, int)
 
-    def go(self, going: NDArray[np.int64], found: "_Step", iterations: int) -> NDArray[np.bool_]:
+    def go(self, going: NDArray[np.int64], found: "_Step", iterations: int, patience: int) -> NDArray[np.bool_]:
         """Take in what was found where some of them (G,) are, and go on by a step, unless there is none or no use.
 
         Returns:
@@ -113,10 +114,10 @@ class _Ways:
         self.best_T[at], self.best_light[at], self.best_score[at] = self.T[at], self.light[at], found.score[better]
         small = (np.abs(found.step[:, :6]) < _CONVERGED).all(1)
         on: NDArray[np.bool_] = (
-            found.possible & ~small & (self.taken[going] < iterations) & (self._stalled[going] < _PATIENCE)
+            found.possible & ~small & (self.taken[going] < iterations) & (self._stalled[going] < patience)
         )
         at, step = going[on], found.step[on]
-        turn = transform_from(Rotation.from_rotvec(step[:, 3:6]).as_matrix(), step[:, :3])
+        turn = transform_from(turned_by(step[:, 3:6]), step[:, :3])
         self.T[at], self.light[at] = turn @ self.T[at], np.clip(self.light[at] + step[:, 6:], -MOST, MOST)
         self.taken[at] += 1
         return on
@@ -153,6 +154,7 @@ class Aligner:
         self._longest_step = 1.5 * unit_mm
         rays, self._inside = grid.camera.pixel_rays()
         self._rays = np.ascontiguousarray(rays[self._inside].T, np.float32)  # (3, R)
+        self._walls: dict[bytes, tuple[Floats, Floats]] = {}
 
     def align(
         self,
@@ -161,6 +163,7 @@ class Aligner:
         light: Array = AT_CAMERA,
         iterations: int = 8,
         light_known: bool = False,
+        last: bool = True,
     ) -> list[Aligned]:
         """The poses near each of some (B, 4, 4) from which their drawings lie best on a picture.
 
@@ -170,6 +173,7 @@ class Aligner:
             light: (5,) or (B, 5) in which the kidney is drawn.
             iterations: steps at most.
             light_known: keep to that light.
+            last: no other follows, which would make good for what a step too few has left.
         """
         count = len(T_kidney_camera)
         lights = np.array(np.broadcast_to(light, (count, len(AT_CAMERA))), float)
@@ -178,7 +182,7 @@ class Aligner:
             return [
                 end
                 for part in parts
-                for end in self.align(picture, T_kidney_camera[part], lights[part], iterations, light_known)
+                for end in self.align(picture, T_kidney_camera[part], lights[part], iterations, light_known, last)
             ]
         if not count:
             return []
@@ -186,7 +190,7 @@ class Aligner:
         ways, going, left = _Ways(count), np.arange(count), drawings
         while len(going):
             found = self._step(picture, left, ways.T[going], ways.light[going])
-            on = ways.go(going, found, iterations)
+            on = ways.go(going, found, iterations, _LAST_PATIENCE if last else _PATIENCE)
             left = left if on.all() else left.at(on)
             going = going[on]
         T = drawings.T_kidney_camera @ inverse(ways.best_T)
@@ -235,12 +239,8 @@ class Aligner:
     def _lit(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
         """Gray values (B, M, H, W) from B poses under M lights each (B, M, 5), and the wall's distance (B, H, W), inf
         without a wall."""
-        R, t = T_kidney_camera[:, :3, :3].astype(np.float32), T_kidney_camera[:, :3, 3].astype(np.float32)
-        count, rays = len(R), self._rays.shape[1]
-        toward = (self._rays.T @ R.swapaxes(1, 2)).reshape(-1, 3)
-        depths, facing = self._scene.cast(np.repeat(t, rays, 0), toward)
-        depth = depths.reshape(count, rays)
-        normals = -R.swapaxes(1, 2) @ facing.T.reshape(3, count, rays).swapaxes(0, 1)
+        depth, normals = self._wall(T_kidney_camera)
+        count, rays = depth.shape
         points, hit = self._rays * depth[:, None], np.isfinite(depth)
         if hit.all():
             shaded = gray_values(points, normals, lights)
@@ -254,24 +254,47 @@ class Aligner:
         gray[:, :, self._inside] = shaded
         return gray, distance
 
+    def _wall(self, T_kidney_camera: Array) -> tuple[Floats, Floats]:
+        """Distances (B, R) from B poses (B, 4, 4) along the grid's rays, inf without a wall, and the wall's normals
+        (B, 3, R), of unit length, camera frame.
+
+        The last poses' are kept: who verified hypotheses where they ended aligns the best of them from there.
+        """
+        poses, known = [T.tobytes() for T in T_kidney_camera], self._walls
+        new = [i for i, pose in enumerate(poses) if pose not in known]
+        if new:
+            cast = zip(*self._cast(T_kidney_camera[new]), strict=True)
+            known = known | dict(zip((poses[i] for i in new), cast, strict=True))
+        self._walls = kept = {pose: known[pose] for pose in poses}
+        depth, normals = zip(*(kept[pose] for pose in poses), strict=True)
+        return np.stack(depth), np.stack(normals)
+
+    def _cast(self, T_kidney_camera: Array) -> tuple[Floats, Floats]:
+        """`_wall` of poses that are not known."""
+        R, t = T_kidney_camera[:, :3, :3].astype(np.float32), T_kidney_camera[:, :3, 3].astype(np.float32)
+        count, rays = len(R), self._rays.shape[1]
+        toward = (self._rays.T @ R.swapaxes(1, 2)).reshape(-1, 3)
+        origins, half = np.repeat(t, rays, 0), len(toward) // 2
+        rest = meanwhile(lambda: self._scene.cast(origins[half:], toward[half:]))
+        depths, facing = map(np.concatenate, zip(self._scene.cast(origins[:half], toward[:half]), rest(), strict=True))
+        return depths.reshape(count, rays), -R.swapaxes(1, 2) @ facing.T.reshape(3, count, rays).swapaxes(0, 1)
+
     def _step(self, picture: Fields, drawing: Drawing, T_picture_drawing: Array, light: Array) -> _Step:
         """What B drawings find where they lie on a picture when moved (B, 4, 4), and lit otherwise by (B, 5)."""
         T, pixels = T_picture_drawing.astype(np.float32), drawing.seen.shape[1]
         points = T[:, :3, :3] @ drawing.points
         points += T[:, :3, 3:]
-        rows = np.empty(
-            (len(T), 4 * FIELDS, pixels), np.float32
-        )  # the picture's slopes and values, the drawing's values
+        # The picture's slopes and values, the drawing's values, ones.
+        rows = np.empty((len(T), 4 * FIELDS + 1, pixels), np.float32)
         good = self.grid.sample(picture, self.grid.camera.pixels(points.transpose(1, 0, 2)), rows[:, : 3 * FIELDS])
         good *= drawing.seen
-        rows[:, 3 * FIELDS :] = drawing.value
+        rows[:, 3 * FIELDS : -1], rows[:, -1] = drawing.value, 1
         if drawing.lit.shape[1]:
-            rows[:, 3 * FIELDS :] += np.einsum("bl,blcn->bcn", light.astype(np.float32), drawing.lit)
-        count = np.maximum(good.sum(1), np.float32(1e-3))
+            rows[:, 3 * FIELDS : -1] += np.einsum("bl,blcn->bcn", light.astype(np.float32), drawing.lit)
         fields = rows[:, 2 * FIELDS :]
-        correlation, a, b, c = correlated(fields, good, count)
+        count, correlation, a, b, c = correlated(fields, good)
         residual = fields[:, :FIELDS] * a
-        residual -= fields[:, FIELDS:] * b
+        residual -= fields[:, FIELDS:-1] * b
         residual += c
         gradient = rows[:, : 2 * FIELDS].reshape(len(T), 2, FIELDS, pixels)
         gradient *= (a / 2)[:, None]
@@ -280,24 +303,25 @@ class Aligner:
         normal, slant = normal_equations(drawing.motion, gradient, drawing.lit, b, robust, residual)
         enough = count >= LEAST_PIXELS
         step = self._solved(normal, slant, count, drawing.light + light)
-        return _Step(np.where(enough, correlation.mean(1), -1.0), step, enough)
+        return _Step(np.where(enough, correlation.sum(1) / FIELDS, -1.0), step, enough)
 
     def _solved(self, normal: Array, slant: Array, count: Floats, light: Array) -> Array:
         """The steps (B, 6 + 5) that normal equations (B, 6 + L, 6 + L) and (B, 6 + L) ask for, L 5 or 0, from lights
         (B, 5)."""
         size = slant.shape[1]
-        each, diagonal = np.arange(size), np.einsum("bii->bi", normal)
-        normal[:, each, each] += _DAMPING * diagonal + 1e-9
+        diagonal = np.einsum("bii->bi", normal)  # a view: what is written there is written to the matrices
+        diagonal *= 1 + _DAMPING
+        diagonal += 1e-9
         step = np.zeros((len(slant), 6 + len(AT_CAMERA)))
         if size > 6:
             prior = _LIGHT_PRIOR * count[:, None] / SPREAD**2
-            normal[:, each[6:], each[6:]] += prior
+            diagonal[:, 6:] += prior
             slant[:, 6:] += prior * (light - AT_CAMERA)
         step[:, :size] = -np.linalg.solve(normal, slant[..., None])[..., 0]
         return self._limited(step)
 
     def _limited(self, step: Array) -> Array:
         """Steps (..., 6 + 5) shortened to what one linearization can be trusted with."""
-        far, turned = (np.sqrt(np.square(part).sum(-1)) for part in (step[..., :3], step[..., 3:6]))
-        over = np.maximum(far / self._longest_step, turned / _LARGEST_TURN)
-        return np.asarray(step / np.maximum(over, 1.0)[..., None])
+        square = np.square(step)
+        far, turned = square[..., :3].sum(-1) / self._longest_step**2, square[..., 3:6].sum(-1) / _LARGEST_TURN**2
+        return np.asarray(step / np.sqrt(np.maximum(np.maximum(far, turned), 1.0))[..., None])

@@ -172,8 +172,8 @@ class Refiner:
         chosen = None if odds is None else odds[[i for i, _ in numbered]]
         states = _better_half(numbered, chosen, expected.prior)
         taken = sum(state.iterations for state in coarse)
-        for _ in range(self.settings.fine_rounds):
-            fine = self.finely(features, [state for _, state in states], known)
+        for left in reversed(range(self.settings.fine_rounds)):
+            fine = self.finely(features, [state for _, state in states], known, last=not left)
             taken += sum(state.iterations for state in fine)
             numbered = [(i, state) for (i, _), state in zip(states, fine, strict=True)]
             states = _better_half(numbered, self._log_odds(features, fine), expected.prior)
@@ -200,11 +200,13 @@ class Refiner:
             raise InputError("Refinement needs at least one candidate pose, got none.")
         start = AT_CAMERA if light is None else np.asarray(light, float)
         states = [Aligned(check_rigid(T, "a candidate"), start, -1.0, 0) for T in candidates]
-        return self._round(self._coarsest, features, states, light_known)
+        return self._round(self._coarsest, features, states, light_known, last=False)
 
-    def finely(self, features: Features, states: Sequence[Aligned], light_known: bool = False) -> list[Aligned]:
-        """Another round: every one aligned again, from where it ended, on the finer grid."""
-        return self._round(self.finest, features, states, light_known)
+    def finely(
+        self, features: Features, states: Sequence[Aligned], light_known: bool = False, last: bool = True
+    ) -> list[Aligned]:
+        """Another round, and maybe the last: every one aligned again, from where it ended, on the finer grid."""
+        return self._round(self.finest, features, states, light_known, last)
 
     def score(self, features: Features, refined: Refined) -> float:
         """How well a refined pose fits features other than those it was found with, as `Refined.score` has it."""
@@ -217,14 +219,14 @@ class Refiner:
         return self.finest.look(refined.T_kidney_camera, refined.light)[0]
 
     def _round(
-        self, aligner: Aligner, features: Features, states: Sequence[Aligned], light_known: bool
+        self, aligner: Aligner, features: Features, states: Sequence[Aligned], light_known: bool, last: bool
     ) -> list[Aligned]:
         """Every one aligned, held back on its way as far as the wall demands."""
         with torch.inference_mode():
             picture = aligner.grid.of_picture(features)
         starts = np.stack([state.T_kidney_camera for state in states])
         lights, iterations = np.stack([state.light for state in states]), self.settings.iterations
-        ends = aligner.align(picture, starts, lights, iterations, light_known)
+        ends = aligner.align(picture, starts, lights, iterations, light_known, last)
         return [
             replace(end, T_kidney_camera=self._kept_inside(end.T_kidney_camera, start))
             for end, start in zip(ends, starts, strict=True)
