@@ -8,6 +8,7 @@ virtual camera's own light (what `flatten` makes of the drawn view), how sure it
 Its weights lie beside it and are made by ``python -m benchmarks.wall_network``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -22,6 +23,7 @@ from torch.nn import functional
 
 from ursnav_torch.camera import Camera
 from ursnav_torch.features.foreground import large_stones
+from ursnav_torch.threads import meanwhile
 
 #: Sides of a picture are padded to a multiple of this many px: cells of 4 px are halved in size twice.
 MULTIPLE = 16
@@ -130,22 +132,28 @@ class WallReader:
     def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
         """`Features.read` (5, h, w) of a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or an
         instrument before the wall; clutter is small, and the relief knows of it."""
+        again = self._look_again(image)
         found = read_wall(_resized(image, self._size), self._rays[None])
         odds = found.odds.sigmoid()
         of_cells = torch.stack([found.log_variance, found.log_depth, found.depth_log_variance, 1 - odds.amax(1)], 1)
         cells = _pixels(torch.cat([of_cells, found.odds[:, :2]], 1)[0], self._size)
         width, height = self._size
         relief = found.relief[:, :height, :width] * self._mask
-        return torch.cat([relief, cells[:4]]), self._with_large(cells[4:].sigmoid(), image)
+        return torch.cat([relief, cells[:4]]), self._with_large(cells[4:].sigmoid(), again())
 
     def before(self, image: NDArray[np.uint8]) -> Tensor:
         """The probabilities (2, h, w) alone that `read` gives."""
-        return self._with_large(_before(image, self._size, self._rays), image)
+        again = self._look_again(image)
+        return self._with_large(_before(image, self._size, self._rays), again())
 
-    def _with_large(self, before: Tensor, image: NDArray[np.uint8]) -> Tensor:
+    def _look_again(self, image: NDArray[np.uint8]) -> Callable[[], Tensor]:
+        """`_before` of a smaller picture, told meanwhile."""
+        return meanwhile(lambda: _before(image, self._smaller, self._smaller_rays))
+
+    def _with_large(self, before: Tensor, smaller: Tensor) -> Tensor:
         """The probabilities (2, h, w), and those of stones that a smaller picture tells, as they fill much of it."""
-        smaller = _before(image, self._smaller, self._smaller_rays)[None]
-        large = large_stones(functional.interpolate(smaller, before.shape[1:], mode="bilinear")[0, 0], self._mask)
+        grown = functional.interpolate(smaller[None], before.shape[1:], mode="bilinear")
+        large = large_stones(grown[0, 0], self._mask)
         return torch.stack([torch.maximum(before[0], large), before[1]])
 
 
@@ -247,8 +255,13 @@ def hues(log_image: Tensor, inside: Tensor) -> Tensor:
 
 def _median(x: Tensor, inside: Tensor) -> Tensor:
     """Medians (N, C, 1, 1) of (N, C, H, W) over every other row and column of masks (N, 1, H, W), 0 of nothing."""
-    seen = torch.where(inside > 0, x, torch.nan)[..., ::2, ::2].flatten(2)
-    return seen.nanmedian(2).values.nan_to_num()[..., None, None]
+    some, found = x[..., ::2, ::2].flatten(2).numpy(), np.zeros(x.shape[:2], np.float32)
+    for i, mask in enumerate(inside[:, 0, ::2, ::2].flatten(1).numpy()):
+        places = np.flatnonzero(mask > 0)
+        if len(places):
+            middle = (len(places) - 1) // 2  # of an even number the lower, as torch's, which takes four times as long
+            found[i] = np.partition(some[i].take(places, 1), middle, 1)[:, middle]
+    return torch.from_numpy(found)[..., None, None]
 
 
 def _cells(x: Tensor) -> Tensor:
