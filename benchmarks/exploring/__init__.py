@@ -38,7 +38,7 @@ from benchmarks.shared.flights import CHOOSING, JUDGING, Case, population
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.statistics import wilson
 from benchmarks.stones.scores import NEAR_MM
-from ursnav_torch.autonomy import AutonomySettings, Explorer
+from ursnav_torch.autonomy import AutonomySettings, Explorer, State
 from ursnav_torch.autonomy.visits import INSPECTED, NOT_REACHED, NOT_TRIED, PARTLY, UNSEEN
 from ursnav_torch.devices import Limits
 from ursnav_torch.errors import InputError
@@ -225,13 +225,15 @@ def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
     return locate
 
 
-def contacts(found: Rehearsed, stone: Array) -> list[int]:
-    """How often the shaft began to push by force against the wall, and how often against the stone."""
+def contacts(found: Rehearsed, stone: Array) -> dict[str, int]:
+    """How often the shaft began to push by force: against the wall, against the stone, and while a person led it in."""
     forced = np.array(found.pressed_mm) > FORCED_MM
     begun = np.flatnonzero(forced[1:] & ~forced[:-1]) + 1
+    by_hand = np.array([found.states[i] == State.WAITING.value for i in begun], bool)
     places = np.array(found.T_kidney_camera)[begun, :3, 3]
     at_stone = np.linalg.norm(places - stone[:3], axis=1) < stone[3] + AT_STONE_MM
-    return [int(np.sum(~at_stone)), int(at_stone.sum())]
+    counted = {"wall": ~at_stone & ~by_hand, "stone": at_stone & ~by_hand, "by_hand": by_hand}
+    return {what: int(which.sum()) for what, which in counted.items()}
 
 
 def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
@@ -262,8 +264,8 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
     for least in (0.7, 0.8, 0.9):
         wrong = sum(c["true_share"] < least for c in said)
         report.add("exploring", f"called inspected, less than {least:.0%} really seen", "calyces", [wrong], n=len(said))
-    report.add("exploring", "forced contacts with the wall a kidney", "contacts", [f["forced"][0] for f in found])
-    report.add("exploring", "forced contacts with the stone a kidney", "contacts", [f["forced"][1] for f in found])
+    for what, name in (("wall", "with the wall"), ("stone", "with the stone"), ("by_hand", "of who leads it in")):
+        report.add("exploring", f"forced contacts {name}, a kidney", "contacts", [f["forced"][what] for f in found])
     for what, length in (("", "tour_mm"), (" that finds the stone, too", "tour_with_stone_mm")):
         ratios = [f["path_mm"] / f[length] for f in found]
         report.add("exploring", f"path over shortest tour{what}", "x", ratios)

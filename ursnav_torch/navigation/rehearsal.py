@@ -191,11 +191,10 @@ class Rehearsal:
         """Answers whose time has come: the newest counts, and all paint the wall."""
         while self._coming and self._coming[0][0] <= self.now_s:
             _, taken_s, sighting = self._coming.popleft()
-            if sighting.T_kidney_camera is not None:
-                self._newest = (taken_s, sighting)
-                if sighting.settled:
-                    sd, stood_s = sighting.position_sd_mm, taken_s - self._painted_s
-                    self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, position_sd_mm=sd)
+            self._newest = (taken_s, sighting)  # without a place, too: then it must not go on, as live
+            if sighting.T_kidney_camera is not None and sighting.settled:
+                sd, stood_s = sighting.position_sd_mm, taken_s - self._painted_s
+                self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, position_sd_mm=sd)
             self._painted_s = taken_s
 
     def _perceive(self, robot: Robot) -> Perception:
