@@ -6,8 +6,9 @@
     python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
     python -m benchmarks.tracking offline=false            # without the answers of hindsight
 
-A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video`` and ``partial`` an ``.mp4``,
-``_truth.csv`` and an ``_em.csv``. Every video is also tracked in the next kidney's VID, where it must end lost.
+A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video``, ``partial`` and ``tissue``
+(pictures of a path tracer) an ``.mp4``, ``_truth.csv`` and, where a sensor was carried, an ``_em.csv``. Every ``video``
+is also tracked in the next kidney's VID, where it must end lost.
 """
 
 import csv
@@ -123,7 +124,12 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
         report.add(group, f"known to {within:g} mm, of all pictures", "%", [100 * success(errors, within)], n=len(on))
     report.add(group, "pictures in a row before a loss", "pictures", [frames_to_loss(errors)], n=len(on))
     report.add(group, "not tracking", "%", [100 * float(1 - on.mean())], n=len(on))
-    report.add(group, "tracking, yet more than 5 mm off", "%", [100 * float((apart[on] > 5).mean())], n=int(on.sum()))
+    for far in (3, 5):
+        share = 100 * float((apart[on] > far).mean())
+        report.add(group, f"tracking, yet more than {far} mm off", "%", [share], n=int(on.sum()))
+    region = np.array([np.nan if a.certainty is None else a.certainty.region_mm for a in answers])
+    held = 100 * float((apart[on] <= region[on]).mean())
+    report.add(group, "90 % region holds the truth", "%", [held], n=int(on.sum()))
     astray = [length / 10 for length in _runs(~(apart <= 5))]
     report.add(group, "longest time astray", "s", [max(astray, default=0.0)])
     if astray:
@@ -166,7 +172,7 @@ def _kidney(folder: Path, work: Path) -> tuple[Vid, list[Exploration]]:
     """A kidney's VID and its videos, without and with EM."""
     vid = vid_of(folder.parent, folder.name, work)
     explorations = []
-    for what in ("video", "partial"):
+    for what in ("video", "partial", "tissue"):
         if not (folder / f"{what}.mp4").is_file():
             continue
         T, calyx = _truth(folder / f"{what}_truth.csv")
