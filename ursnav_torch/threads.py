@@ -25,8 +25,8 @@ _ARENAS, _M_ARENA_MAX = 2, -8
 T = TypeVar("T")
 
 _lock = threading.Lock()
-_nested = 0
-_threads_before = 1
+_inside = 0  # entries that have not been left, of all threads
+_outside = 1  # threads an operation, as set outside
 
 
 def share_arenas() -> bool:
@@ -39,22 +39,26 @@ def share_arenas() -> bool:
 
 @contextmanager
 def one_thread_an_operation() -> Iterator[int]:
-    """Keep PyTorch's operations on one thread each inside; yields the thread count that was set outside."""
-    global _nested, _threads_before
+    """Keep PyTorch's operations on one thread each inside; yields the thread count that was set outside.
+
+    PyTorch counts for each calling thread by itself, and sums are rounded otherwise by two: so every thread that works
+    at a picture enters, or the same pictures give other answers from run to run.
+    """
+    global _inside, _outside
+    before = torch.get_num_threads()
     with _lock:
-        if _nested == 0:
-            _threads_before = torch.get_num_threads()
-            if _threads_before > 1:
-                torch.set_num_threads(1)
-        _nested += 1
-        threads = _threads_before
+        _outside = before if _inside == 0 else _outside
+        _inside += 1
+        threads = _outside
+    if before > 1:
+        torch.set_num_threads(1)
     try:
         yield threads
     finally:
+        if before > 1:
+            torch.set_num_threads(before)
         with _lock:
-            _nested -= 1
-            if _nested == 0 and threads > 1:
-                torch.set_num_threads(threads)
+            _inside -= 1
 
 
 def meanwhile(work: Callable[[], T]) -> Callable[[], T]:
@@ -63,7 +67,7 @@ def meanwhile(work: Callable[[], T]) -> Callable[[], T]:
     Where PyTorch was given a single thread, the work is done when it is asked for.
     """
     with _lock:
-        threads = _threads_before if _nested else torch.get_num_threads()
+        threads = _outside if _inside else torch.get_num_threads()
     if threads == 1:
         return work
     done: Future[T] = Future()
@@ -71,7 +75,8 @@ def meanwhile(work: Callable[[], T]) -> Callable[[], T]:
 
     def run() -> None:
         try:
-            with torch.inference_mode(inference):  # the caller's mode, which threads do not inherit
+            # the caller's mode, which threads do not inherit
+            with torch.inference_mode(inference), one_thread_an_operation():
                 done.set_result(work())
         except BaseException as error:  # it is raised again where the result is asked for
             done.set_exception(error)
@@ -100,7 +105,8 @@ def map_chunks(work: Callable[[slice], None], count: int, chunk: int, cost: floa
         inference = torch.is_inference_mode_enabled()
 
         def run(part: slice) -> None:
-            with torch.inference_mode(inference):  # the caller's mode, which threads do not inherit
+            # the caller's mode, which threads do not inherit
+            with torch.inference_mode(inference), one_thread_an_operation():
                 work(part)
 
         with ThreadPoolExecutor(threads) as pool:

@@ -8,7 +8,7 @@ import threading
 import pytest
 import torch
 
-from ursnav_torch.threads import meanwhile
+from ursnav_torch.threads import map_chunks, meanwhile, one_thread_an_operation
 
 #: Prints how many arenas twelve threads made that allocate at the same time; ``malloc_info`` tells them.
 TWELVE = """
@@ -53,3 +53,42 @@ def test_an_error_of_work_meanwhile_is_raised_where_the_result_is_asked_for(monk
     wait = meanwhile(lambda: [][0])
     with pytest.raises(IndexError):
         wait()
+
+
+def test_an_operation_stays_on_one_thread_in_every_thread_that_works_at_once() -> None:
+    before, counts = torch.get_num_threads(), []
+    ready, go = threading.Barrier(2), threading.Barrier(2)
+
+    def beside() -> None:
+        torch.zeros(8).sum()
+        counts.append(torch.get_num_threads())
+        ready.wait(10)
+        go.wait(10)  # until the other thread is inside
+        with one_thread_an_operation() as outside:
+            counts.extend([torch.get_num_threads(), outside])
+        counts.append(torch.get_num_threads())
+
+    torch.set_num_threads(2)
+    try:
+        other = threading.Thread(target=beside)
+        other.start()
+        ready.wait(10)
+        with one_thread_an_operation() as outside:
+            go.wait(10)
+            other.join(10)
+            assert (torch.get_num_threads(), outside) == (1, 2)
+        assert torch.get_num_threads() == 2
+        assert counts == [2, 1, 2, 2]
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_chunks_and_work_meanwhile_keep_to_one_thread_an_operation() -> None:
+    before, counts = torch.get_num_threads(), []
+    torch.set_num_threads(2)
+    try:
+        map_chunks(lambda part: counts.append(torch.get_num_threads()), 4, 1, 1e9)
+        counts.append(meanwhile(torch.get_num_threads)())
+    finally:
+        torch.set_num_threads(before)
+    assert counts == [1] * 5
