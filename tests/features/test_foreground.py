@@ -53,7 +53,7 @@ def test_nothing_is_told_outside_the_lens() -> None:
 def test_a_large_stone_is_large_sure_throughout_and_convex() -> None:
     wide = disk(50, 50, 20, 0.95)
     assert torch.equal(large_stones(wide + disk(90, 90, 5, 0.99), INSIDE), wide), "the small one is for the other look"
-    crescent = torch.where(disk(60, 50, 20, 1.0) > 0, 0.0, wide)
+    crescent = torch.where(disk(60, 50, 16, 1.0) > 0, 0.0, wide)
     half_sure = torch.where(disk(50, 50, 17, 1.0) > 0, 0.7, wide)
     for none in (crescent, half_sure, disk(50, 50, 9, 0.95)):
         assert not large_stones(none, INSIDE).any()
