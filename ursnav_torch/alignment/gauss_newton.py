@@ -1,8 +1,7 @@
 """The arithmetic of one Gauss-Newton step, of B alignments at once.
 
 Every pass through the pixels costs, so sums over them are the entries of one product of rows with themselves: of the
-fields and a row of ones, and of the Jacobian's rows and the residual. These products of few long rows are PyTorch's;
-NumPy's library of matrices takes four times as long.
+fields and a row of ones, and of the Jacobian's rows and the residual. These products of few long rows are PyTorch's.
 """
 
 import numpy as np

@@ -53,7 +53,7 @@ class Nearest:
 
     def assign(self, cost: Tensor, shares: Tensor, weights: Tensor) -> Assignment:
         """See `Method.assign`: each query point's cheapest counterpart, the best `keep` of them."""
-        cheapest = torch.from_numpy(cost.numpy().argmin(2))  # NumPy's is vectorized, PyTorch's is not
+        cheapest = torch.from_numpy(cost.numpy().argmin(2))
         best = cost.gather(2, cheapest[..., None])[..., 0]
         of_views = best.T if self.sides == "query_to_view" else cost.amin(0)  # nobody asks those
         distance, kept = self.combine(best, of_views, shares, weights), max(1, round(self.keep * len(best)))
