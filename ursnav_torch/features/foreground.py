@@ -18,7 +18,7 @@ SURE = 0.9
 _SMALLEST = 0.003
 #: A large stone's region covers this share of the picture at least, is this probable on average, and fills this share
 #: of its convex hull: clutter and folds of the wall do not. Set by hand on lessons of phantoms and on one exploration
-#: past a stone that filled a fifth of the picture and more, and judged on no others: there is no command that chose them.
+#: past a stone that filled a fifth of the picture and more, and judged on no others: no command chose them.
 #: `benchmarks.foreground data=DIR` finds with it what it found without.
 _LARGE, _MEAN, _SOLID = 0.05, 0.9, 0.9
 
