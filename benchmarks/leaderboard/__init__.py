@@ -96,7 +96,7 @@ def found_policy(name: str) -> Callable[[], Policy]:
 
 def run_episode(vid: Vid, policy: Policy, seed: int, seconds: float) -> Episode:
     """One episode in a kidney that breathes, swells, bleeds and lets the shaft buckle."""
-    env = ScopeEnv(vid, seconds, TissueSettings(), pictures=policy.looks)
+    env = ScopeEnv(vid, seconds, TissueSettings(), pictures=getattr(policy, "looks", True))
     seen, _ = env.reset(seed=seed)
     policy.begin(env, seed)
     facts: dict[str, Any] = {}

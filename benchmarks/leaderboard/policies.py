@@ -27,7 +27,7 @@ class Policy(Protocol):
 
     Attributes:
         done: whether it wants to end.
-        looks: whether it looks at pictures; where none does, none are drawn.
+        looks: whether it looks at pictures; who does not say so gets them.
     """
 
     done: bool
