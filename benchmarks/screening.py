@@ -1,10 +1,11 @@
 """Screening of large VIDs by the product's own way: ``python -m benchmarks.screening vid=DIR pictures=200``.
 
 Simulated pictures are located twice, by the search in two stages and by the exhaustive one, in turns: how often both
-name the same calyx and places within 0.3 mm, refined and not, and what a picture takes. ``tiled=100000`` also stores
-the VID's views again and again up to that number, and opens that in a process of its own: seconds, memory and bytes of
-a VID as large as that. What it answers is not looked at, since views come again. Beside what a clock says stands what
-the processor worked, which a busy machine changes less.
+name the same calyx and places within 0.3 mm, refined and not, and what a picture takes. A VID that is large enough to
+have a screen is also opened in a process of its own and locates the pictures there: seconds, memory and bytes. For one
+that is not, ``tiled=100000`` stores its views again and again up to that number and opens that; what it answers is not
+looked at, since views come again. Beside what a clock says stands what the processor worked, which a busy machine
+changes less. A real VID of 100,000 views: ``python -m benchmarks.building views=100000 work=DIR``.
 
 Arguments, each ``key=value``: ``vid=DIR`` (a phantom's of ``views=2000`` is built where it is left out)
 ``pictures=200`` ``tiled=0`` ``threads=2`` ``seed=1`` ``work=DIR`` ``out=FILE.json``.
@@ -40,8 +41,8 @@ from ursnav_torch.vid import PlanSettings, Vid, ViewFeatures, load_vid, make_scr
 DEFAULTS = {"vid": "", "views": 2000, "pictures": 200, "tiled": 0, "threads": 2, "seed": 1, "work": "", "out": ""}
 #: Places within this of each other are the same, mm at the kidney's scale 1.
 SAME_MM = 0.3
-#: Pictures that the tiled VID locates.
-_TIMED = 20
+#: Pictures that the tiled VID locates, and what is said of it.
+_TIMED, _TILED = 20, " (views come again: for time and memory alone)"
 Images = list[NDArray[np.uint8]]
 #: By the clock and of the processor.
 Seconds = tuple[float, float]
@@ -60,10 +61,12 @@ def main(arguments: Sequence[str]) -> int:
             build({"views": settings["views"], "workers": settings["threads"], "compute": "local"}, folder)
         vid = load_vid(folder)
         images = simulated(vid, settings["pictures"], settings["seed"])
-        compare(report, vid, images)
+        if vid.screen is not None:
+            measure_opened(report, folder, images, settings["threads"])
         if settings["tiled"]:
             tile(vid, settings["tiled"], work / "tiled")
-            measure_opened(report, work / "tiled", images[:_TIMED], settings["threads"])
+            measure_opened(report, work / "tiled", images[:_TIMED], settings["threads"], _TILED)
+        compare(report, vid, images)
     report.finish(settings["out"])
     return 0
 
@@ -128,11 +131,11 @@ def tile(vid: Vid, count: int, folder: Path) -> None:
     save_vid(tiled, folder)
 
 
-def measure_opened(report: Report, folder: Path, images: Images, threads: int) -> None:
-    """What opening a VID and locating pictures in it take, in a process of its own."""
+def measure_opened(report: Report, folder: Path, images: Images, threads: int, what: str = "") -> None:
+    """What opening a VID and locating pictures in it take, in a process of its own; ``what`` is said of the VID."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         views, opened, ready, located, memory = pool.submit(open_and_locate, folder, images, threads).result()
-    group = f"{views:,} views, opened anew (views come again: for time and memory alone)"
+    group = f"{views:,} views, opened anew{what}"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e9
     _add_times(report, group, "opening", "s", [opened])
     _add_times(report, group, "opening and making ready", "s", [ready])
