@@ -127,11 +127,10 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
     twin = twin_in(case, known, rng, clock, stone, tissue_of(settings["tissue"]))
     sight = StoneSight(known, stone, blocked, np.random.default_rng([case.seed, 24]))
     locate = noisy_truth(rng, sight) if known.vid is None else tracker_of(known.vid)
-    operator = None
-    if settings["pose"] == TRACKED:  # a person leads in, to where the tracker finds its place
-        operator = TwinPilot(twin, kidney, clock=clock)
-        operator.hands_over = True
+    operator = TwinPilot(twin, kidney, clock=clock) if settings["pose"] == TRACKED else None
     rehearsal = Rehearsal(twin, explorer, locate, settings["rate_hz"], operator, clock)
+    if operator is not None:  # a person leads in, until the tracker has found its place
+        operator.hands_over = lambda: rehearsal.autopilot.is_placed
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
     return facts(explorer, rehearsal, found, truth, (stone, blocked)) | {"took_s": time.monotonic() - begun}

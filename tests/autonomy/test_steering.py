@@ -112,9 +112,20 @@ def test_along_a_wall_it_creeps_no_nearer_than_it_may_touch(phantom, phantom_lum
 def test_retreating_and_withdrawing_pull(phantom, steering):
     way = Way(phantom, 2)
     assert steering.retreat(SEEN, on_the_way(way, 10.0), way).insertion_mm_s < 0
-    bent = replace(SEEN, bend_rad=np.array([0.5, -0.2]))
-    back = steering.withdraw(bent)
-    assert back.insertion_mm_s < 0 and (back.bend_rad_s * bent.bend_rad < 0).all()
+    assert steering.withdraw(replace(SEEN, insertion_mm=9.0), np.array([0.0, 0.0, 8.0])).insertion_mm_s < 0
+
+
+def test_a_tip_that_withdraws_is_bent_as_it_was_before_the_shaft_is_drawn_back(steering):
+    seen, to, bends = replace(SEEN, bend_rad=np.array([0.5, -0.2]), insertion_mm=9.0), np.array([-0.1, 0.3, 6.0]), []
+    for _ in range(400):
+        wish = steering.withdraw(seen, to)
+        assert wish.insertion_mm_s <= 0
+        if wish.insertion_mm_s < 0:
+            bends.append(np.hypot(*(seen.bend_rad - to[:2])))
+        bend, push = seen.bend_rad + 0.02 * wish.bend_rad_s, seen.insertion_mm + 0.02 * wish.insertion_mm_s
+        seen = replace(seen, bend_rad=bend, insertion_mm=push)
+    assert max(bends) < 0.25, "what it is off as it is drawn back"
+    np.testing.assert_allclose([*seen.bend_rad, seen.insertion_mm], to, atol=0.05)
 
 
 def test_looking_about_bends_round_and_never_inserts(steering):

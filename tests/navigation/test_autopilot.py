@@ -114,6 +114,22 @@ def test_what_is_finished_ends_the_session_where_nobody_watches(rig):
         assert pilot.read().quit == quits
 
 
+def test_a_place_is_known_once_it_was_sure_for_half_a_second(rig):
+    robot = rig[1]
+    seen = [Perception(0.0)]
+    told = []
+    with Autopilot(Hands(), robot, Wishing(), lambda robot: seen[0]) as pilot:
+        for t_s, known, sd, age_s in (
+            (1.0, False, 0.1, 0.0), (1.1, True, 0.1, 0.0), (1.5, True, 0.1, 0.0), (1.7, True, 0.1, 0.1),
+            (1.8, True, 0.9, 0.0), (2.0, True, 0.2, 0.0), (2.4, True, 0.2, 0.7), (2.5, True, None, 0.0),
+            (3.1, True, None, 0.0),
+        ):  # fmt: skip
+            seen[0] = Perception(t_s, np.eye(4) if known else None, t_s - age_s, position_sd_mm=sd)
+            pilot.read()
+            told.append(pilot.is_placed)
+    assert told == [False, False, False, True, False, False, False, False, True]
+
+
 def test_glare_is_the_share_of_white():
     image = np.zeros((40, 40), np.uint8)
     image[:, :20] = 255

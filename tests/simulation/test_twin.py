@@ -216,7 +216,7 @@ def test_the_pilot_visits_every_calyx_of_a_phantom_without_touching_a_wall(
 
 def test_a_pilot_that_hands_over_only_holds_the_button_once_it_is_in_a_calyx(phantom, phantom_lumen, renderer):
     with TwinPilot(make_twin(World(phantom, renderer, phantom_lumen)), phantom) as pilot:
-        pilot.hands_over = True
+        pilot.hands_over = lambda: False
         assert pilot.read().arm
         leading = pilot.read()
         assert leading.dead_man and (leading.bend_x or leading.bend_y)
@@ -225,9 +225,28 @@ def test_a_pilot_that_hands_over_only_holds_the_button_once_it_is_in_a_calyx(pha
         assert hands.dead_man and not (hands.bend_x or hands.bend_y or hands.insertion)
 
 
+def test_a_pilot_leads_no_farther_than_until_autonomy_may_take_over_and_takes_nothing_back(
+    phantom, phantom_lumen, renderer
+):
+    may = [False]
+    with TwinPilot(make_twin(World(phantom, renderer, phantom_lumen)), phantom) as pilot:
+        pilot.hands_over = lambda: may[0]
+        assert pilot.read().arm and any(_sticks(pilot.read()))
+        may[0] = True
+        assert not any(_sticks(pilot.read())) and pilot.read().dead_man
+        may[0] = False
+        assert not any(_sticks(pilot.read()))
+    with pilot:
+        assert pilot.read().arm and any(_sticks(pilot.read())), "opened again, it leads again"
+
+
+def _sticks(hands):
+    return hands.bend_x, hands.bend_y, hands.insertion
+
+
 def test_who_leads_in_for_autonomy_goes_back_from_what_can_be_felt(monkeypatch, phantom, phantom_lumen, renderer):
     monkeypatch.setattr(Twin, "pressed_mm", property(lambda twin: 0.5))
-    for hands_over, pushes in ((False, True), (True, False)):
+    for hands_over, pushes in ((None, True), (lambda: False, False)):
         with TwinPilot(make_twin(World(phantom, renderer, phantom_lumen)), phantom) as pilot:
             pilot.hands_over = hands_over
             hands = [pilot.read() for _ in range(3)]

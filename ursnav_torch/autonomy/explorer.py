@@ -19,6 +19,7 @@ from ursnav_torch.autonomy.states import MOVING, State, StateMachine
 from ursnav_torch.autonomy.steering import Steering, Way
 from ursnav_torch.autonomy.tour import Tour
 from ursnav_torch.autonomy.visits import OPEN, Explored, Visit
+from ursnav_torch.autonomy.way_back import WayBack, joints
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.kidney import LumenDistance
@@ -83,6 +84,7 @@ class Explorer:
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
         self._find_bars(())
         self._way: Way | None = None  # along which the scope came; None where somebody else led it in
+        self._way_back, self._lost_at = WayBack(segment, self._unit), np.zeros(3)
         self._room_mm = s.room_mm
         self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
         self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
@@ -121,6 +123,8 @@ class Explorer:
         self._insertions.append((seen.t_s, seen.insertion_mm))
         if seen.stones != self._space.stones:
             self._find_bars(seen.stones)
+        if seen.is_known(self.settings.stale_s, self.settings.doubtful_sd_mm):
+            self._way_back.add(joints(seen.bend_rad, seen.insertion_mm))
         self._permit(seen, may)
         state = self.machine.state
         if state in (State.WAITING, State.STOPPED, State.FINISHED):
@@ -166,8 +170,10 @@ class Explorer:
             return "no place from the pictures"
         if seen.position_sd_mm is not None and seen.position_sd_mm > s.doubtful_sd_mm:
             return f"the place may be {seen.position_sd_mm:.1f} mm off"
-        sure = seen.position_sd_mm is not None and seen.position_sd_mm <= s.sure_sd_mm
-        if len(seen.calyces) > 1 and self.target in seen.calyces and not sure:  # where it is sure, two are in sight
+        many = len(seen.calyces) > 1 and self.target in seen.calyces
+        if many and (
+            seen.position_sd_mm is None or not seen.is_known(s.stale_s, s.sure_sd_mm)
+        ):  # where it is sure, two are in sight
             return "it may be calyx " + " or ".join(self.visits[c].calyx for c in seen.calyces)
         return ""
 
@@ -202,21 +208,24 @@ class Explorer:
             if self._doubts > s.withdrawals:
                 self._finish(seen, f"gave up: {doubt or self.machine.reason}")
             else:
-                self._pushed_from = seen.insertion_mm
+                self._lost_at = joints(seen.bend_rad, seen.insertion_mm)
                 self._to(State.WITHDRAWING, seen, doubt)
         else:
             self.machine.reason = doubt or self.machine.reason
         return Wish()
 
     def _withdraw(self, seen: Perception, doubt: str) -> Wish:
-        """Back where the place was known; who is all the way back looks about."""
-        s, since_s = self.settings, seen.t_s - self.machine.since_s
-        is_out = self._is_out(seen)
-        enough = since_s > _SWEEP_S if is_out else self._pushed_from - seen.insertion_mm >= s.withdraw_mm
-        if not doubt or enough:
+        """Back where the place was known, the way it came; who is all the way back looks about."""
+        since_s, here = seen.t_s - self.machine.since_s, joints(seen.bend_rad, seen.insertion_mm)
+        to = self._way_back.next(here)
+        is_out = to is None and self._is_out(seen)
+        gone_mm = self._way_back.apart_mm(self._lost_at, here)
+        if not doubt or (since_s > _SWEEP_S if is_out else gone_mm >= self.settings.withdraw_mm):
             self._to(State.LOOKING, seen, doubt or "the place is known again")
             return Wish()
-        return self._steering.sweep(seen, 2 * np.pi * since_s / _SWEEP_S) if is_out else self._steering.withdraw(seen)
+        if is_out:
+            return self._steering.sweep(seen, 2 * np.pi * since_s / _SWEEP_S)
+        return self._steering.withdraw(seen, np.zeros(3) if to is None else to)
 
     def _go_on(self, seen: Perception) -> None:
         """Choose what is next, and begin to go there; where the target stays, so does what was tried."""

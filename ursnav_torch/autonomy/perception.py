@@ -38,6 +38,11 @@ class Perception:
     glare: float = 0.0
     stones: tuple[FoundStone, ...] = ()
 
+    def is_known(self, newest_s: float, sd_mm: float) -> bool:
+        """Whether the place is known, by a picture no older than ``newest_s``, to within a standard deviation."""
+        is_new = self.T_kidney_camera is not None and self.t_s - self.seen_s <= newest_s
+        return is_new and (self.position_sd_mm is None or self.position_sd_mm <= sd_mm)
+
 
 @dataclass(frozen=True, slots=True)
 class Permission:

@@ -34,6 +34,8 @@ _AHEADS = (1.0, 0.75, 0.5, 0.3)
 _TURNS, _LARGEST_TURN_RAD = 8, 0.5
 #: Where a straight line is asked for walls.
 _SHARES = np.linspace(0.0, 1.0, 13)
+#: A tip bent otherwise by more than this than it was on the way in is not drawn back but bent; set, not varied.
+_BENT_RAD = 0.2
 #: How far the tip bends as it looks about: 25 degrees.
 _SWEEP_RAD = 0.44
 #: How far along the optical axis clearance is looked up, mm at scale 1.
@@ -120,9 +122,12 @@ class Steering:
         goal = way.point_at(min(way.place_mm(T[:3, 3]) + self.settings.ahead_mm, way.length_mm))
         return Wish(self.turn(seen, T, goal), -self.settings.retreat_mm_s * self.sureness(seen))
 
-    def withdraw(self, seen: Perception) -> Wish:
-        """Pull back without a place, letting the bend go as the shaft comes back."""
-        return Wish(-0.3 * np.asarray(seen.bend_rad), -self.settings.withdraw_mm_s)
+    def withdraw(self, seen: Perception, to: Array) -> Wish:
+        """Without a place back to some joints (3,): bend as it was there, and only then pull the shaft."""
+        bend = to[:2] - np.asarray(seen.bend_rad)
+        ready = max(0.0, 1 - float(np.hypot(*bend)) / _BENT_RAD)
+        pull = self.settings.withdraw_mm_s * ready if seen.insertion_mm > to[2] else 0.0
+        return Wish(self.settings.turn_per_s * bend, -pull)
 
     def sweep(self, seen: Perception, phase_rad: float) -> Wish:
         """Look about without a place: bend round a circle, and leave the shaft where it is."""

@@ -22,6 +22,8 @@ from ursnav_torch.simulation import SimulatedTime
 
 #: Gray level from which on a pixel shows nothing.
 _TOO_BRIGHT = 250
+#: A place counts as known once it was for so long, s; set, not varied.
+_KNOWN_S = 0.5
 #: What an explorer is told, given what the robot reports of itself.
 Perceive = Callable[[Robot], Perception]
 
@@ -52,7 +54,12 @@ class Autopilot(Gamepad):
         super().__init__()
         self.hands, self.robot, self.explorer = hands, robot, explorer
         self._perceive, self._tell, self._quits = perceive, tell, quits
-        self._told = ""
+        self._told, self._known_from_s, self._now_s = "", np.inf, 0.0
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the place has been known for a while, so that the explorer could go on from it."""
+        return self._now_s - self._known_from_s >= _KNOWN_S
 
     def read(self) -> OperatorInput:
         """The operator's input, with autonomy's wish for bend and insertion where that is allowed."""
@@ -62,7 +69,11 @@ class Autopilot(Gamepad):
         taken_over = bool(own.bend_x or own.bend_y or (own.insertion and not assists))
         state = self.robot.gate.state
         may = Permission(own.dead_man and not taken_over, state == ARMED, state == STOPPED or own.emergency_stop)
-        wish = self.explorer.step(self._perceive(self.robot), may)
+        seen = self._perceive(self.robot)
+        self._now_s = seen.t_s
+        is_known = seen.is_known(self.explorer.settings.stale_s, self.explorer.settings.sure_sd_mm)
+        self._known_from_s = min(self._known_from_s, seen.t_s) if is_known else np.inf
+        wish = self.explorer.step(seen, may)
         text = f"{self.explorer.machine.state.value}: {self.explorer.machine.reason}"
         if text != self._told:
             self._told = text

@@ -80,10 +80,11 @@ def run_navigation(
     pilots: list[Autopilot] = []
 
     def between(hands: Gamepad, rig: Rig, watched: bool) -> Gamepad:
+        pilot = make_autopilot(navigator, hands, rig, autonomy or AutonomySettings(), quits=not watched)
         if isinstance(rig.gamepad, TwinPilot):
-            rig.gamepad.hands_over = True
-        pilots.append(make_autopilot(navigator, hands, rig, autonomy or AutonomySettings(), quits=not watched))
-        return pilots[0]
+            rig.gamepad.hands_over = lambda: pilot.is_placed
+        pilots.append(pilot)
+        return pilot
 
     steers = None if autonomy is None or isinstance(hardware, Replay) else between
     opened = open_session(hardware, world, recorder, duration_s, page is not None, navigator.forget_place, steers)

@@ -31,9 +31,7 @@ class Goal:
 class TwinPilot(Gamepad):
     """An input device without an operator: flies the twin into the calyces in turn, out again, and quits at the end.
 
-    A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`. Where autonomy
-    is to fly, it steers into the first calyx, where the tracker finds its place, and from then on only holds the
-    dead-man button: `hands_over` is True. Then it gives a calyx up as soon as it feels that something is in the way.
+    A calyx that the scope cannot enter is given up after 12 s. Visited ones are listed in `visited`.
 
     Args:
         twin: the scope to fly; its motors are moved through the robot like an operator's.
@@ -41,6 +39,11 @@ class TwinPilot(Gamepad):
         calyces: names to visit in this order; all without it.
         rounds: how often; 0 for ever.
         clock: seconds by which patience is measured; for a twin that runs faster than the world.
+
+    Attributes:
+        hands_over: where autonomy is to fly: whether it may take over by now. Until it may, or the first calyx is
+            reached, the pilot leads in, and gives a calyx up as soon as it feels that something is in the way; from
+            then on it only holds the dead-man button. None where nobody else flies.
     """
 
     def __init__(
@@ -57,7 +60,8 @@ class TwinPilot(Gamepad):
         self._names = [c.name for c in kidney.calyces] if calyces is None else list(calyces)
         self._segment: Segment = twin.scope.drive.segment
         self.visited: list[str] = []
-        self.hands_over = False
+        self.hands_over: Callable[[], bool] | None = None
+        self._handed_over = False
         self._goals: list[Goal] = []
         self._round = 0
         self._entering = True
@@ -70,7 +74,9 @@ class TwinPilot(Gamepad):
         if not self._armed:
             self._armed = True
             return OperatorInput(stamp, arm=True)
-        if self.hands_over and self.visited:
+        if self.hands_over is not None:
+            self._handed_over |= bool(self.visited) or self.hands_over()
+        if self._handed_over:
             return OperatorInput(stamp, dead_man=True)
         if not self._goals:
             self._round += 1
@@ -91,7 +97,9 @@ class TwinPilot(Gamepad):
         if np.linalg.norm(T[:3, 3] - goal.way_mm[-1]) < NEAR_MM:
             self.visited.append(goal.name)
             self._entering = False
-        elif stamp.t_mono_s - goal.begun_s > PATIENCE_S or (self.hands_over and self.twin.pressed_mm > FELT_MM):
+        elif stamp.t_mono_s - goal.begun_s > PATIENCE_S or (
+            self.hands_over is not None and self.twin.pressed_mm > FELT_MM
+        ):
             self._entering = False
         target = _ahead(goal.way_mm, T[:3, 3])
         direction = T[:3, :3].T @ (target - T[:3, 3])
@@ -109,7 +117,7 @@ class TwinPilot(Gamepad):
         return OperatorInput(stamp, bend_x=back[0], bend_y=back[1], insertion=-1.0, dead_man=True)
 
     def _open(self) -> None:
-        self._goals, self._round, self._armed, self._entering = [], 0, False, True
+        self._goals, self._round, self._armed, self._entering, self._handed_over = [], 0, False, True, False
 
     def _close(self) -> None: ...
 
