@@ -1,5 +1,6 @@
 """Stones of a scan beside those that were seen: found, not yet found, new; and in words and files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,27 @@ def test_words_say_pole_size_and_what_is_gone(phantom: Kidney) -> None:
     assert f"2 stones in the {pole} pole: 6.1 ± 0.4 mm in {name}, 3.0 ± 0.4 mm in {name}." in words
     assert "gone: 4.0 ± 0.4 mm." in words and f"above 2 mm: {name} 2." in words and "new" not in words
     assert stone_sentences(compare_stones([], []), phantom) == ["No stone seen."]
+
+
+def test_fragments_are_counted_a_calyx_and_not_listed(phantom: Kidney, tmp_path: Path) -> None:
+    name, other = (phantom.calyces[i].name for i in (0, 3))
+    small = [seen(1, [0, 0, 0], 1.9), seen(3, [0, 9, 0], 1.4), seen(4, [0, 0, 9], 1.5, 3)]
+    gone = seen(5, [0, 0, -9], 1.5, 3, GONE)
+    fragments = [replace(s, is_fragment=True) for s in (*small, gone)]
+    stones = compare_stones([fragments[0], seen(2, [9, 0, 0], 3.0), *fragments[1:]], [])
+    assert [s.number for s in stones.seen] == [2] and [s.number for s in stones.fragments] == [1, 3, 4]
+    assert stone_sentences(stones, phantom)[1:] == [
+        f"Stones and fragments above 2 mm: {name} 1.",
+        f"Fragments up to 2 mm: {name} 2, {other} 1.",
+    ]
+    write_stones(tmp_path / "t.csv", stones, phantom)
+    assert [row["stone"] for row in read_csv(tmp_path / "t.csv", STONE_COLUMNS, "stones")] == ["2"]
+
+
+def test_a_small_stone_that_the_scan_showed_is_listed() -> None:
+    small = replace(seen(1, [0.5, 0, 0], 1.6), is_fragment=True)
+    stones = compare_stones([small], [KnownStone("a", np.zeros(3), 1.5)])
+    assert [s.number for s in stones.seen] == [1] and stones.known == ("a",) and not stones.fragments
 
 
 def test_the_table_holds_what_was_seen_and_what_was_not(phantom: Kidney, tmp_path: Path) -> None:

@@ -131,8 +131,36 @@ def test_of_pictures_from_one_place_the_one_that_shows_most_tells_the_size(
     less = ball_bodies(lens, phantom_lumen, T, [(center, 0.5 * RADIUS)])
     for frame in range(30):
         stones.add(T, less if frame % 10 else whole, 0.3 * frame, frame, SD)
-    (found,) = stones.stones()
+    (found,) = stones.told()
     assert (found.size_mm < 1.5 * RADIUS) == shrinks
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "sd_mm", "step_mm", "listed"),
+    [(2.1, 0.1, 0.0, True), (1.8, 0.3, 0.0, False), (1.8, 0.3, 1.0, True), (1.8, 0.1, 1.0, False)],
+)
+def test_what_may_be_a_stone_is_one_where_two_places_show_it(
+    stones: StoneMap, lens: Camera, size_mm: float, sd_mm: float, step_mm: float, listed: bool
+) -> None:
+    candidate, _ = begun_twice(stones, lens)
+    T, _, seen, *sd = candidate._views.telling()[0]
+    pose = np.eye(4)
+    pose[:3, 3] = T + step_mm * np.eye(3)[0]
+    candidate.see(pose, seen, (sd[0], sd[1]), 1, 1.0)
+    assert candidate.is_stone(size_mm, sd_mm) is listed
+
+
+@pytest.mark.parametrize(("radius", "listed"), [(0.65, 0), (1.3, 1)])
+def test_what_is_smaller_than_a_stone_is_told_as_a_fragment(
+    phantom: Kidney, phantom_lumen: LumenDistance, lens: Camera, radius: float, listed: int
+) -> None:
+    watch = stone_watch(phantom, phantom_lumen, lens)
+    center = ball_on_wall(phantom, phantom_lumen, 0, radius)
+    for i, T in enumerate(way_in(phantom, 0, 24)):
+        watch.see(answer(T, ball_bodies(lens, phantom_lumen, T, [(center, radius)])), np.zeros((4, 4), np.uint8), i, i)
+    found = watch.found()
+    assert (len(found.seen), len(found.fragments)) == (listed, 1 - listed)
+    assert len(watch.stones.stones()) == listed and len(watch.stones.told()) == 1
 
 
 def test_a_tracker_is_told_which_stones_hide_the_wall(vid: Vid, phantom_lumen: LumenDistance, lens: Camera) -> None:

@@ -26,21 +26,27 @@ class _Views:
 
     Pictures from one place err alike, and most see too little of a stone: of those within ``alike_mm`` of each other
     the one stays that shows most of it.
+
+    Attributes:
+        places_mm: where the lens stood, places within ``alike_mm`` of each other once.
     """
 
     def __init__(self, alike_mm: float) -> None:
         self._alike_mm = alike_mm
         self.whole: list[View] = []
         self.parts: list[View] = []
+        self.places_mm: list[Array] = []
         self._seen, self._stride = 0, 1
 
     def add(self, view: View) -> None:
         """Keep a sighting, or pass it over where there are many."""
+        if len(self.places_mm) < _MOST_KEPT and not any(self._alike(view[0], place) for place in self.places_mm):
+            self.places_mm.append(view[0])
         if not view[2].is_whole:
             self.parts = [*self.parts, view][-_MOST_PARTS:]
             return
         for n, kept in enumerate(self.whole):
-            if np.linalg.norm(view[0] - kept[0]) < self._alike_mm:
+            if self._alike(view[0], kept[0]):
                 self.whole[n] = max(kept, view, key=lambda v: v[2].half_angle)
                 return
         if self._seen % self._stride == 0:
@@ -48,6 +54,9 @@ class _Views:
         self._seen += 1
         if len(self.whole) > _MOST_KEPT:
             self.whole, self._stride = self.whole[::2], 2 * self._stride
+
+    def _alike(self, one: Array, other: Array) -> bool:
+        return bool(np.linalg.norm(one - other) < self._alike_mm)
 
     def telling(self) -> list[View]:
         """Those that tell of place and size: the whole ones where there are any."""
@@ -126,6 +135,11 @@ class StoneCandidate:
         spread = float(np.std(extents)) / np.sqrt(independent) if len(extents) > 1 else 0.3 * seen
         depth = seen * self.ball.position_sd_mm / max(float(np.median(distance)), 1e-3)
         return seen, float(np.sqrt(spread**2 + depth**2 + (0.08 * seen) ** 2))
+
+    def is_stone(self, size_mm: float, sd_mm: float) -> bool:
+        """Whether it is large enough for one; where it only may be, by one deviation, two places must show it."""
+        may_be = size_mm + sd_mm >= self._settings.smallest_mm and len(self._views.places_mm) > 1
+        return size_mm >= self._settings.smallest_mm or may_be
 
     def _cones(self) -> Cones:
         views = self._views.telling()

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ursnav_torch.geometry import Array
-from ursnav_torch.stones.map import FoundStone
+from ursnav_torch.stones.map import THERE, FoundStone
 
 #: A stone moves between the scan and the operation, mm at scale 1: about its own size, and this besides.
 _MOVED_MM = 4.0
@@ -31,12 +31,14 @@ class StoneList:
         known: of each of them the name of the known stone that it is, blank for a new one.
         not_found: known ones that no picture showed.
         compared: whether stones were known at all.
+        fragments: what was seen besides and is there, too small for a stone and none of the known ones.
     """
 
     seen: tuple[FoundStone, ...]
     known: tuple[str, ...]
     not_found: tuple[KnownStone, ...]
     compared: bool
+    fragments: tuple[FoundStone, ...] = ()
 
 
 #: Before any picture.
@@ -47,7 +49,7 @@ def compare_stones(seen: Sequence[FoundStone], known: Sequence[KnownStone], scal
     """Match stones that pictures showed to those of a scan, each to one at most, by place and size.
 
     Args:
-        seen, known: in one kidney frame.
+        seen, known: in one kidney frame; a fragment that is a known stone is one.
         scale: the kidney's.
     """
     names = [""] * len(seen)
@@ -65,4 +67,6 @@ def compare_stones(seen: Sequence[FoundStone], known: Sequence[KnownStone], scal
             names[i] = known[j].name
             found.add(j)
     missing = tuple(k for j, k in enumerate(known) if j not in found)
-    return StoneList(tuple(seen), tuple(names), missing, bool(known))
+    listed = [i for i, s in enumerate(seen) if names[i] or not s.is_fragment]
+    fragments = tuple(s for i, s in enumerate(seen) if i not in listed and s.state == THERE)
+    return StoneList(tuple(seen[i] for i in listed), tuple(names[i] for i in listed), missing, bool(known), fragments)

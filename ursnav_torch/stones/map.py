@@ -49,6 +49,7 @@ class FoundStone:
         confidence: probability that there is such a stone.
         state: ``there`` or ``gone``: seen before, and no more where it should be.
         frame: number of the picture that shows it best.
+        is_fragment: whether it is too small for a stone.
     """
 
     number: int
@@ -61,6 +62,7 @@ class FoundStone:
     confidence: float
     state: str
     frame: int
+    is_fragment: bool = False
 
     @property
     def position_sd_mm(self) -> float:
@@ -126,18 +128,22 @@ class StoneMap:
         self._judge()
 
     def stones(self) -> tuple[FoundStone, ...]:
-        """The stones that are told, in the order in which they were."""
+        """The stones that are told, in the order in which they were; fragments are none."""
+        return tuple(stone for stone in self.told() if not stone.is_fragment)
+
+    def told(self) -> tuple[FoundStone, ...]:
+        """Stones and fragments that are told, in the order in which they were."""
         s, found = self.settings, []
         for c in sorted((c for c in self._candidates if c.number), key=lambda c: c.number):
             c.settle(self.lumen.clearance_mm, at_once=True)
             size, size_sd = c.size_mm()
-            if size < s.smallest_mm or not c.is_told:
+            if size < s.speck_mm or not c.is_told:
                 continue
             state = GONE if c.log_odds <= s.gone else THERE
             confidence = float(1 / (1 + np.exp(-c.best_odds)))
             found.append(
                 FoundStone(c.number, self.calyx_of(c.ball.center_mm), c.ball.center_mm, c.ball.covariance[:3, :3],
-                           size, size_sd, c.pictures, confidence, state, c.best_frame)
+                           size, size_sd, c.pictures, confidence, state, c.best_frame, not c.is_stone(size, size_sd))
             )  # fmt: skip
         return tuple(found)
 

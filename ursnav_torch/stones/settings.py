@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from ursnav_torch.errors import InputError
 
+#: What is left above this is a residual fragment (EAU guideline on urolithiasis, 2024), mm at scale 1.
+RESIDUAL_MM = 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class StoneMapSettings:
@@ -30,7 +33,9 @@ class StoneMapSettings:
         size_quantile: of the extents seen, the one taken for the longest diameter.
         size_factor: true by seen extent, chosen by ``python -m benchmarks.stones half=choosing kidneys=20
             vary=size_factor=1.1,1.15,1.2``.
-        smallest_mm: what is smaller is no stone but a speck.
+        smallest_mm: what is smaller is no stone but a fragment: it is counted, not listed. One that may be as large, by
+            a standard deviation, and was seen from two places that are not alike is listed.
+        speck_mm: what is smaller is not even that.
     """
 
     farthest_mm: float = 25.0
@@ -51,7 +56,8 @@ class StoneMapSettings:
     gone: float = -2.0
     size_quantile: float = 0.5
     size_factor: float = 1.15
-    smallest_mm: float = 1.2
+    smallest_mm: float = RESIDUAL_MM
+    speck_mm: float = 1.2
 
     def __post_init__(self) -> None:
         if min(self.hit, self.miss, self.independent_s, self.alike, self.size_factor) <= 0:

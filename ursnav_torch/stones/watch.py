@@ -54,8 +54,8 @@ class StoneWatch:
             del self.pictures[number]
 
     def found(self) -> StoneList:
-        """All stones that are told by now, beside the known ones."""
-        return compare_stones(self.stones.stones(), self.known, self.stones.kidney.scale)
+        """All stones that are told by now, beside the known ones, and fragments."""
+        return compare_stones(self.stones.told(), self.known, self.stones.kidney.scale)
 
     def picture_of(self, stone: FoundStone) -> tuple[NDArray[np.uint8], tuple[ForegroundBody, ...]] | None:
         """The picture that shows a stone best, and its bodies; None where none was kept."""

@@ -1,17 +1,16 @@
 """Stones in plain words, for people to read: "2 stones in the lower pole: 6.1 ± 0.6 mm in F, …"."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.stones.known import StoneList
 from ursnav_torch.stones.map import GONE, FoundStone
-
-#: What is left above this is a residual fragment (EAU guideline on urolithiasis, 2024), mm at scale 1.
-RESIDUAL_MM = 2.0
+from ursnav_torch.stones.settings import RESIDUAL_MM
 
 
 def stone_sentences(stones: StoneList, kidney: Kidney) -> list[str]:
-    """One sentence a pole, then what is gone, what was not found yet, and how many fragments each calyx holds."""
+    """One sentence a pole, then what is gone, what was not found yet, and what each calyx holds, fragments apart."""
     there = [s for s in stones.seen if s.state != GONE]
     lines = []
     for pole in dict.fromkeys(_pole(s, kidney) for s in there):
@@ -28,8 +27,9 @@ def stone_sentences(stones: StoneList, kidney: Kidney) -> list[str]:
             f"{k.name} of {k.size_mm:.1f} mm" for k in stones.not_found) + ".")  # fmt: skip
     left = residual_fragments(there, kidney)
     if left:
-        words = ", ".join(f"{calyx or 'outside the calyces'} {count}" for calyx, count in left.items())
-        lines.append(f"Stones and fragments above {RESIDUAL_MM:g} mm: {words}.")
+        lines.append(f"Stones and fragments above {RESIDUAL_MM:g} mm: {_counted(left)}.")
+    if stones.fragments:
+        lines.append(f"Fragments up to {RESIDUAL_MM:g} mm: {_counted(_by_calyx(stones.fragments, kidney))}.")
     return lines
 
 
@@ -49,12 +49,16 @@ def stone_count(stones: StoneList) -> str:
 
 def residual_fragments(there: Sequence[FoundStone], kidney: Kidney) -> dict[str, int]:
     """How many stones and fragments above `RESIDUAL_MM` each calyx holds, by its name; blank for outside of them."""
-    counts: dict[str, int] = {}
-    for stone in there:
-        if stone.size_mm > RESIDUAL_MM * kidney.scale:
-            name = calyx_name(stone, kidney)
-            counts[name] = counts.get(name, 0) + 1
+    return _by_calyx([s for s in there if s.size_mm > RESIDUAL_MM * kidney.scale], kidney)
+
+
+def _by_calyx(stones: Sequence[FoundStone], kidney: Kidney) -> dict[str, int]:
+    counts = Counter(calyx_name(stone, kidney) for stone in stones)
     return dict(sorted(counts.items()))
+
+
+def _counted(by_calyx: dict[str, int]) -> str:
+    return ", ".join(f"{calyx or 'outside the calyces'} {count}" for calyx, count in by_calyx.items())
 
 
 def calyx_name(stone: FoundStone, kidney: Kidney) -> str:
