@@ -63,12 +63,19 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def untaught(seed: int) -> WallNetwork:
-    """The network with the package's weights and a new branch, as it would be stored."""
+    """The network with the package's weights and a new branch."""
     torch.manual_seed(seed)
     network = WallNetwork()
+    new = {name: value.half().float() for name, value in network.before.state_dict(prefix="before.").items()}
+    network.load_state_dict(packaged_weights().state_dict() | new)
+    return network.eval()
+
+
+def packaged_weights() -> WallNetwork:
+    """The network with the package's weights, as it would be stored."""
+    network = WallNetwork()
     data = load(resources.files("ursnav_torch.features").joinpath(WEIGHTS).read_bytes())
-    new = {name: value.half() for name, value in network.before.state_dict(prefix="before.").items()}
-    network.load_state_dict({name: value.float() for name, value in (data | new).items()})
+    network.load_state_dict({name: value.float() for name, value in data.items()})
     return network.eval()
 
 

@@ -85,17 +85,17 @@ def draw_lesson(seed: int, widest: Preset = WIDE) -> Lesson | None:
     rng = np.random.default_rng(seed)
     try:
         kidney = make_phantom_kidney(seed)
-        plan = plan_views(kidney, LumenDistance.from_kidney(kidney), _plan(seed))
+        places = places_in(kidney, seed)
     except UrsnavError:
         return None
-    order = rng.permutation(len(plan.calyx))[:PER_PHANTOM]
+    order = rng.permutation(len(places))[:PER_PHANTOM]
     pictures, clean, depth, kind, lenses = [], [], [], [], []
     for number, view in enumerate(order):
         if number % PER_LENS == 0:
-            renderer = _renderer(kidney, rng)
-        T = plan.T_kidney_camera[view]
+            renderer = lens_of(kidney, rng)
+        T = places[view]
         drawn = renderer.render(T)
-        labeled = simulate_labeled(drawn, renderer.camera, T, _faults(rng, widest), rng)
+        labeled = simulate_labeled(drawn, renderer.camera, T, faults_of(rng, widest), rng)
         image = labeled.image
         if rng.random() < 0.05:  # a gray camera
             image = np.repeat(image.mean(2, keepdims=True).astype(np.uint8), 3, 2)
@@ -107,15 +107,20 @@ def draw_lesson(seed: int, widest: Preset = WIDE) -> Lesson | None:
     return Lesson(np.array(pictures), np.array(clean), np.array(depth), np.array(kind), np.array(lenses, float))
 
 
-def _plan(seed: int) -> PlanSettings:
-    """Places and directions wider than a VID's: a scope looks anywhere."""
-    return PlanSettings(
+def places_in(kidney: Kidney, seed: int) -> NDArray[np.float64]:
+    """Poses (N, 4, 4), places and directions wider than a VID's: a scope looks anywhere.
+
+    Raises:
+        InputError: see `plan_views`.
+    """
+    settings = PlanSettings(
         views_per_calyx=40, passage_views=120, around=0.0, tilt_deg=24, largest_tilt_deg=70, nearest_mm=1.5,
         farthest_mm=18, roll_deg=180, seed=seed,
     )  # fmt: skip
+    return plan_views(kidney, LumenDistance.from_kidney(kidney), settings).T_kidney_camera
 
 
-def _renderer(kidney: Kidney, rng: Rng) -> RaycastRenderer:
+def lens_of(kidney: Kidney, rng: Rng) -> RaycastRenderer:
     """A random lens, and in every other case a kidney that has moved and swollen since its scan."""
     if rng.random() < 0.75:
         camera = equidistant_camera(rng.uniform(90, 170), NATIVE_PX, NATIVE_PX)
@@ -130,7 +135,7 @@ def _renderer(kidney: Kidney, rng: Rng) -> RaycastRenderer:
     return RaycastRenderer(mesh, camera)
 
 
-def _faults(rng: Rng, widest: Preset) -> SensorFaults:
+def faults_of(rng: Rng, widest: Preset) -> SensorFaults:
     """Four of five of the widest preset, most of them through a good sensor; the others of the thesis's kinds."""
     u = rng.random()
     wide = u < 0.8

@@ -6,7 +6,8 @@ import torch
 
 from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.features import DefaultExtractor, DefaultSettings
-from ursnav_torch.features.foreground import SURE, find_bodies, large_stones
+from ursnav_torch.features.foreground import SURE, find_bodies, large_stones, may_be_large
+from ursnav_torch.features.network import WallReader
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.sensor import Stone, severity, simulate_labeled
 from ursnav_torch.rendering.sensor.bodies import STONE
@@ -58,6 +59,25 @@ def test_a_large_stone_is_large_sure_throughout_and_convex() -> None:
     for none in (crescent, half_sure, disk(50, 50, 9, 0.95)):
         assert not large_stones(none, INSIDE).any()
     assert not large_stones(wide, (disk(50, 50, 10, 1.0) > 0).float()).logical_and(disk(50, 50, 10, 1.0) == 0).any()
+
+
+def test_a_large_stone_is_possible_where_as_much_as_one_covers_may_be_stone() -> None:
+    faint, fainter, small = disk(50, 50, 14, 0.06), disk(50, 50, 14, 0.04), disk(50, 50, 11, 0.06)
+    assert may_be_large(faint, INSIDE)
+    assert not may_be_large(fainter, INSIDE) and not may_be_large(small, INSIDE)
+    assert not may_be_large(faint, (disk(0, 0, 40, 1.0) > 0).float()), "outside the lens"
+    assert may_be_large(small, (disk(50, 50, 40, 1.0) > 0).float()), "a share of the lens's picture, not of the array"
+
+
+def test_a_second_look_is_for_pictures_that_a_stone_may_fill_alone(phantom, vid, monkeypatch) -> None:
+    lens, rng, again = equidistant_camera(), np.random.default_rng(1), []
+    renderer, extractor = RaycastRenderer(phantom.mesh, lens), DefaultExtractor(DefaultSettings(), lens, 0.0)
+    look = WallReader.again
+    monkeypatch.setattr(WallReader, "again", lambda self, image: again.append(image) or look(self, image))
+    faults = severity("in_vivo_like", 0.2, rng)
+    for T in vid.T_kidney_camera[::6]:
+        extractor.extract(simulate_labeled(renderer.render(T), lens, T, faults, rng).image, edges=False, bare=True)
+    assert len(again) <= 1
 
 
 def test_a_stone_that_fills_a_fifth_of_the_picture_and_more_is_told_whole(phantom, vid) -> None:

@@ -21,6 +21,8 @@ _SMALLEST = 0.003
 #: past a stone that filled a fifth of the picture and more, and judged on no others: no command chose them.
 #: `benchmarks.foreground data=DIR` finds with it what it found without.
 _LARGE, _MEAN, _SOLID = 0.05, 0.9, 0.9
+#: There may be one where pixels of as large a share are this probable in all.
+_POSSIBLE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,11 @@ def find_bodies(probability: Tensor, mask: Tensor, scale: float, sure: float = S
                     ForegroundBody(kind, surest, (float(x), float(y)), size, float(region.area / area), inside)
                 )
     return tuple(sorted(found, key=lambda body: -body.share))
+
+
+def may_be_large(probability: Tensor, mask: Tensor) -> bool:
+    """Whether a large stone is possible by probabilities (h, w) of a stone within a mask (h, w)."""
+    return bool((probability * mask > _POSSIBLE).sum() >= _LARGE * mask.sum())
 
 
 def large_stones(probability: Tensor, mask: Tensor) -> Tensor:

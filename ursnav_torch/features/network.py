@@ -8,7 +8,6 @@ virtual camera's own light (what `flatten` makes of the drawn view), how sure it
 Its weights lie beside it and are made by ``python -m benchmarks.wall_network``.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -22,8 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ursnav_torch.camera import Camera
-from ursnav_torch.features.foreground import large_stones
-from ursnav_torch.threads import meanwhile
+from ursnav_torch.features.foreground import large_stones, may_be_large
 
 #: Sides of a picture are padded to a multiple of this many px: cells of 4 px are halved in size twice.
 MULTIPLE = 16
@@ -37,9 +35,14 @@ CELL = 4
 _WIDTHS = (32, 64, 96)
 _BEFORE_WIDTH = 24  # of the branch that tells what lies before the wall
 _HUES = 3  # channels of `hues`
-#: Share of the working size at which pictures are looked at once more for stones that fill much of them: these are then
-#: as small as those it has learned from.
+#: Share of the working size at which pictures that a stone may fill are looked at once more: it is then as small as
+#: those it has learned from.
 _SMALLER = 0.625
+#: A stone may fill a picture of which the coarsest channels have this logit or more, and whose blue against green
+#: spreads over this many log units or more. Set by hand on phantoms; ``python -m benchmarks.wall_network.filled`` tells
+#: what they keep.
+FILLED, _SPREAD = -2.0, 0.1
+_THUMB, _DARK = 32, 6  # px of a picture whose hues are looked at, and gray values that show none
 _LEAST_HUE, _MOST_HUE = 0.05, 5.0  # a hue's usual size is at least, and its ratio to it at most, so much
 _MEAN_LOG = 4.3  # of a picture's log values, about
 
@@ -54,6 +57,7 @@ class WallReading:
         log_depth: (N, h, w) log of the wall's distance, less an unknown constant.
         depth_log_variance: (N, h, w) of that.
         odds: (N, 3, h, w) logits of `FOREGROUND`.
+        filled: (N,) logits of a stone that fills much of the picture.
     """
 
     relief: Tensor
@@ -61,6 +65,7 @@ class WallReading:
     log_depth: Tensor
     depth_log_variance: Tensor
     odds: Tensor
+    filled: Tensor
 
 
 class WallNetwork(nn.Module):
@@ -70,7 +75,7 @@ class WallNetwork(nn.Module):
     al., CVPR 2016), which is what makes it fast enough for a camera on one core. What lies before the wall is told
     by a branch of its own, which sees the finest channels beside the last ones, and how each pixel's hue differs from
     the wall's: it is taught after the rest, from pictures most of which show stones and instruments, and the wall is
-    read as before.
+    read as before. Whether a stone may fill much of a picture is told by the mean of its coarsest channels.
     """
 
     def __init__(self) -> None:
@@ -84,24 +89,27 @@ class WallNetwork(nn.Module):
         self.up1 = nn.Sequential(_Block(b + a, a, size=1), _Block(a, a))
         self.head = nn.Conv2d(a, CELL * CELL + 3, 3, padding=1)
         self.before = _Before(2 * a + _HUES * CELL * CELL)
+        self.filled = nn.Linear(c, 1)
 
     def forward(self, picture_bgr: Tensor, rays: Tensor) -> WallReading:
         """Read pictures (N, 3, H, W), 0 to 255, with unit rays' x and y and the lens's mask (N, 3, H, W)."""
-        last, odds = self.channels(picture_bgr, rays)
+        last, odds, mean = self.channels(picture_bgr, rays)
         y, cells = self.head(last), CELL * CELL
         relief = functional.pixel_shuffle(y[:, :cells], CELL)[:, 0]
-        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], odds)
+        return WallReading(relief, y[:, cells], y[:, cells + 1], y[:, cells + 2], odds, self.filled(mean)[:, 0])
 
-    def channels(self, picture_bgr: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-        """The last channels (N, C, h, w), from which the wall is read, and `WallReading.odds`; arguments as above."""
+    def channels(self, picture_bgr: Tensor, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The last channels (N, C, h, w), from which the wall is read, `WallReading.odds`, and the coarsest channels'
+        means (N, C'); arguments as above."""
         log_image = (torch.log(picture_bgr + 8) - _MEAN_LOG) * rays[:, 2:]
         x = torch.cat([log_image, rays], 1).contiguous(memory_format=torch.channels_last)
         fine = self.down1(x)
         middle = self.down2(fine)
         coarse = self.down3(middle)
-        coarse = coarse + functional.silu(self.whole(coarse.mean((2, 3))))[..., None, None]
+        mean = coarse.mean((2, 3))
+        coarse = coarse + functional.silu(self.whole(mean))[..., None, None]
         last = self.up1(_beside(self.up2(_beside(coarse, middle)), fine))
-        return last, self.before(torch.cat([last, fine, _cells(hues(log_image, rays[:, 2]))], 1))
+        return last, self.before(torch.cat([last, fine, _cells(hues(log_image, rays[:, 2]))], 1)), mean
 
 
 def read_wall(picture_bgr: Tensor, rays: Tensor, network: WallNetwork | None = None) -> WallReading:
@@ -132,35 +140,51 @@ class WallReader:
     def read(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
         """`Features.read` (5, h, w) of a picture (H, W) or (H, W, 3), and probabilities (2, h, w) of a stone or an
         instrument before the wall; clutter is small, and the relief knows of it."""
-        again = self._look_again(image)
         found = read_wall(_resized(image, self._size), self._rays[None])
         odds = found.odds.sigmoid()
         of_cells = torch.stack([found.log_variance, found.log_depth, found.depth_log_variance, 1 - odds.amax(1)], 1)
         cells = _pixels(torch.cat([of_cells, found.odds[:, :2]], 1)[0], self._size)
         width, height = self._size
         relief = found.relief[:, :height, :width] * self._mask
-        return torch.cat([relief, cells[:4]]), self._with_large(cells[4:].sigmoid(), again())
+        return torch.cat([relief, cells[:4]]), self._with_large(image, cells[4:].sigmoid(), found.filled)
 
     def before(self, image: NDArray[np.uint8]) -> Tensor:
         """The probabilities (2, h, w) alone that `read` gives."""
-        again = self._look_again(image)
-        return self._with_large(_before(image, self._size, self._rays), again())
+        return self._with_large(image, *_before(image, self._size, self._rays))
 
-    def _look_again(self, image: NDArray[np.uint8]) -> Callable[[], Tensor]:
-        """`_before` of a smaller picture, told meanwhile."""
-        return meanwhile(lambda: _before(image, self._smaller, self._smaller_rays))
+    def again(self, image: NDArray[np.uint8]) -> Tensor:
+        """The probabilities (h, w) of large stones, 0 elsewhere, that a smaller picture tells, as they fill much of
+        it."""
+        smaller, _ = _before(image, self._smaller, self._smaller_rays)
+        grown = functional.interpolate(smaller[None], self._mask.shape, mode="bilinear")
+        return large_stones(grown[0, 0], self._mask)
 
-    def _with_large(self, before: Tensor, smaller: Tensor) -> Tensor:
-        """The probabilities (2, h, w), and those of stones that a smaller picture tells, as they fill much of it."""
-        grown = functional.interpolate(smaller[None], before.shape[1:], mode="bilinear")
-        large = large_stones(grown[0, 0], self._mask)
-        return torch.stack([torch.maximum(before[0], large), before[1]])
+    def _with_large(self, image: NDArray[np.uint8], before: Tensor, filled: Tensor) -> Tensor:
+        """The probabilities (2, h, w), and those of large stones where there may be any."""
+        if not may_be_large(before[0], self._mask) and not (float(filled) >= FILLED and has_hues(image)):
+            return before
+        return torch.stack([torch.maximum(before[0], self.again(image)), before[1]])
 
 
-def _before(image: NDArray[np.uint8], size: tuple[int, int], rays: Tensor) -> Tensor:
-    """Probabilities (2, h, w) of a stone or an instrument in a picture (H, W) or (H, W, 3) read at a size (w, h)."""
-    _, odds = packaged_network().channels(_whole_cells(_resized(image, size)), _whole_cells(rays[None]))
-    return _pixels(odds[0, :2], size).sigmoid()
+def has_hues(image: NDArray[np.uint8]) -> bool:
+    """Whether a picture (H, W) or (H, W, 3) has more than one hue, as wall and stone have; a gray one may have."""
+    if image.ndim == 2:
+        return True
+    small = cv2.resize(image, (_THUMB, _THUMB), interpolation=cv2.INTER_AREA).reshape(-1, 3).astype(np.float32)
+    log = np.log(small[small.max(1) > _DARK] + 8)
+    against = np.sort(log[:, 0] - log[:, 1])
+    if not len(against):
+        return False
+    low, high = against[len(against) // 20], against[-1 - len(against) // 20]
+    return bool(low == high or high - low >= _SPREAD)
+
+
+def _before(image: NDArray[np.uint8], size: tuple[int, int], rays: Tensor) -> tuple[Tensor, Tensor]:
+    """Probabilities (2, h, w) of a stone or an instrument in a picture (H, W) or (H, W, 3) read at a size (w, h), and
+    the logit (1,) of a stone that fills much of it."""
+    network = packaged_network()
+    _, odds, mean = network.channels(_whole_cells(_resized(image, size)), _whole_cells(rays[None]))
+    return _pixels(odds[0, :2], size).sigmoid(), network.filled(mean)[:, 0]
 
 
 def _resized(image: NDArray[np.uint8], size: tuple[int, int]) -> Tensor:
