@@ -121,19 +121,6 @@ def test_in_every_state_of_motion_whatever_ends_it_ends_it_at_once(explorer, at_
     assert explorer.machine.reason
 
 
-@pytest.mark.parametrize(
-    ("back_mm", "state"), [(0.0, State.INSPECTING), (3.0, State.INSPECTING), (9.0, State.RETREATING)]
-)
-def test_who_lost_the_place_while_looking_goes_on_looking_from_near_there(explorer, at_root, back_mm, state):
-    seen = in_state(explorer, at_root, State.INSPECTING)
-    explorer.step(later(seen, 0.1, T_kidney_camera=None), HELD)
-    assert explorer.machine.state is State.LOOKING
-    way, T = explorer._ways[explorer.target], seen.T_kidney_camera.copy()
-    T[:3, 3] = way.point_at(way.place_mm(T[:3, 3]) - back_mm)
-    explorer.step(later(seen, 0.2, T_kidney_camera=T), HELD)
-    assert explorer.machine.state is state
-
-
 def test_after_a_stop_it_waits_looks_and_only_then_goes_on(explorer, at_root):
     seen = in_state(explorer, at_root, State.APPROACHING)
     target = explorer.target

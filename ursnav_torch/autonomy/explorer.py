@@ -41,8 +41,6 @@ _KEPT = 100
 _FOLLOWS = 0.3
 #: A round of looking about takes so long.
 _SWEEP_S = 6.0
-#: A view that adds this many times what is missing is enough, as not all of what it should show may count.
-_ENOUGH = 1.5
 #: Getting on by less than this is none, mm at scale 1.
 _PROGRESS_MM = 0.25
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
@@ -94,7 +92,6 @@ class Explorer:
         self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
         self._doubts = self._hits = self._losses = 0
         self._inspected_from_s: float | None = None
-        self._inspected_at_mm = 0.0  # along the way, where it was begun
         self._weighed: Iterator[ViewPlan | None] | None = None
         self._best: ViewPlan | None = None
         self._view: tuple[ViewPlan, float] | None = None
@@ -234,18 +231,8 @@ class Explorer:
         """Choose what is next, and begin to go there; where the target stays, so does what was tried."""
         if self.target < 0:
             self._choose(seen)
-        if not self.finished and self._is_where_it_inspected(seen):
-            self._look_around(seen)
-        elif not self.finished:
+        if not self.finished:
             self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
-
-    def _is_where_it_inspected(self, seen: Perception) -> bool:
-        """Whether looking at the target's wall can go on from here: little was withdrawn since it was broken off."""
-        if self._inspected_from_s is None or self._way is not self._ways[self.target]:
-            return False
-        assert seen.T_kidney_camera is not None
-        at = self._ways[self.target].place_mm(seen.T_kidney_camera[:3, 3])
-        return self._inspected_at_mm - at <= self.settings.ahead_mm
 
     def _choose(self, seen: Perception) -> None:
         """The next calyx of the shortest tour through all that are open; those tried before come last."""
@@ -353,10 +340,7 @@ class Explorer:
 
     def _look_around(self, seen: Perception) -> None:
         """Begin to inspect from here, or go on with it."""
-        if self._inspected_from_s is None:
-            assert seen.T_kidney_camera is not None
-            self._inspected_from_s = seen.t_s
-            self._inspected_at_mm = self._ways[self.target].place_mm(seen.T_kidney_camera[:3, 3])
+        self._inspected_from_s = seen.t_s if self._inspected_from_s is None else self._inspected_from_s
         self._view, self._weighed = None, None
         self._to(State.INSPECTING, seen, f"looks at the wall of calyx {self.visits[self.target].calyx}")
 
@@ -415,7 +399,7 @@ class Explorer:
         if self._weighed is None:
             missing = self.settings.done_share - self._share(self.target)
             least = min(self.settings.least_gain, 0.5 * missing)  # near the end, two small steps are worth it, too
-            self._weighed = self._planner.candidates(seen, T, self.target, least, _ENOUGH * missing)
+            self._weighed = self._planner.candidates(seen, T, self.target, least)
             self._best = None
         for _ in range(_VIEWS_A_CYCLE):
             try:

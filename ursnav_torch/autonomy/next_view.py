@@ -31,7 +31,7 @@ class ViewPlan:
     Attributes:
         bend_rad: (2,) the robot's bend there.
         insertion_mm: its insertion there.
-        gain: part of the calyx's wall, of what the scope can see of it, that this view adds; no more than is enough.
+        gain: part of the calyx's wall, of what the scope can see of it, that this view adds.
         worth: gain for the way that the tip makes to get there, 1/mm.
     """
 
@@ -61,9 +61,7 @@ class ViewPlanner:
     largest_bend_rad: float
     time_mm: float
 
-    def candidates(
-        self, seen: Perception, T: Array, calyx: int, least_gain: float, enough: float = 1.0
-    ) -> Iterator[ViewPlan | None]:
+    def candidates(self, seen: Perception, T: Array, calyx: int, least_gain: float) -> Iterator[ViewPlan | None]:
         """Views from a pose (4, 4) one by one, as each costs a cast of rays.
 
         Args:
@@ -71,7 +69,6 @@ class ViewPlanner:
             T: the pose.
             calyx: index of the one that is inspected.
             least_gain: what adds less is no view to go to.
-            enough: what adds more is worth no more, as the calyx is done with it: a nearer view will do.
 
         Returns:
             The best view until now by gain for its way; None while there is none.
@@ -90,9 +87,9 @@ class ViewPlanner:
                 if found is not None:
                     cost = self.time_mm + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
                     least = max(least_gain, 0.0 if best is None else best.worth * cost)
-                    gain = min(float(area[self.coverage.in_view(found, unseen)].sum()), enough)
+                    gain = float(area[self.coverage.in_view(found, unseen)].sum())
                     if gain > least and off_mm > 0:  # what is surely in view is asked only where it may matter
-                        gain = min(float(area[self.coverage.surely_in_view(found, off_mm, unseen)].sum()), enough)
+                        gain = float(area[self.coverage.surely_in_view(found, off_mm, unseen)].sum())
                     if gain > least:
                         best = ViewPlan(bend, seen.insertion_mm + advance, gain, gain / cost)
                     yield best
