@@ -209,7 +209,7 @@ def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
         joints = twin.scope.drive.joints(twin.axes_mm())
         odometry = OdometryReading(joints.insertion_mm, joints.bend_x_rad, joints.bend_y_rad)
         image = twin.image()
-        tracked = tracker.follow(tracker.extract(image), t_s, None, None, odometry)
+        tracked = tracker.follow(tracker.extract(image), t_s, None, None, odometry, image)
         frame = next(frames)
         watch.see(tracked, image, t_s, frame)
         if frame % STONES_EVERY == 0:

@@ -127,9 +127,9 @@ def tracked(seen: Flown, vid: Vid, lumen: LumenDistance, choice: Choice) -> Reco
 
 
 def _answers(seen: Flown, tracker: Tracker, choice: Choice) -> Iterator[Tracked]:
-    for i, features in enumerate(features_of(seen, tracker)):
+    for i, (features, image) in enumerate(zip(features_of(seen, tracker), seen.images(), strict=True)):
         joints = OdometryReading(*seen.flight.odometry[i].tolist()) if choice.odometry else None
-        yield tracker.follow(features, float(seen.flight.t_s[i]), odometry=joints)
+        yield tracker.follow(features, float(seen.flight.t_s[i]), odometry=joints, image=image)
 
 
 def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:

@@ -16,6 +16,7 @@ from ursnav_torch.tracking.certainty import (
     track_evidence,
 )
 from ursnav_torch.tracking.motion import Hypotheses
+from ursnav_torch.tracking.relocalization import Relocated
 
 ERRORS = PositionErrors((1.0, -2.0, 0.5), 1.8)
 TOLD = PositionErrors((0.0, -2.0, 0.5), 1.5)
@@ -91,3 +92,10 @@ def test_refusals() -> None:
         TrackCertaintySettings(1.0)
     with pytest.raises(InputError, match="largest_mm > 0, got 0"):
         TrackCertaintySettings(largest_mm=0)
+
+
+def test_a_picture_surely_found_by_itself_tells_how_far_off_a_pose_is() -> None:
+    told, there = track_certainty(evidence(), WEIGHTS, ERRORS, 0.95, 1.0), np.eye(4)
+    there[0, 3] = 0.3
+    assert told.relocated(np.eye(4), Relocated(there, True, 0.4)).position_sd_mm == pytest.approx(0.5)
+    assert told.relocated(np.eye(4), Relocated(there, True, 99.0)).position_sd_mm == told.position_sd_mm

@@ -105,8 +105,12 @@ class Localizer:
             FeatureError: it shows too little to be matched.
         """
         start = time.perf_counter()
+        return self.locate_features(self.features(image), start)
+
+    def locate_features(self, features: Features, start: float | None = None) -> Location:
+        """`locate` from a picture's features; the answer's seconds count from ``start``, on ``time.perf_counter``."""
+        start = time.perf_counter() if start is None else start
         with torch.inference_mode(), one_thread_an_operation():
-            features = self.features(image)
             found = self.judge(features)
         sure = self._sure(found)
         rows, ranking = self._candidate_rows(found), found.ranking
@@ -183,7 +187,7 @@ class Localizer:
 
     def features(self, image: NDArray[np.uint8]) -> Features:
         """Features of a picture (H, W) or (H, W, 3) blue, green, red, as `locate` extracts them; the same errors."""
-        with one_thread_an_operation():
+        with torch.inference_mode(), one_thread_an_operation():
             return self._extractor.extract(image)
 
     def narrow(self, scene: NDArray[np.bool_]) -> None:

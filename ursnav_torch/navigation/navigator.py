@@ -218,7 +218,7 @@ class Navigator:
             job, begun = seen.job, time.monotonic()
             try:
                 t_s = job.frame.stamp.t_mono_s
-                tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry)
+                tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry, job.frame.image)
             except Exception as error:
                 self.tracker.reset()  # whatever it was, it must not last
                 self._fail(job, error)

@@ -11,6 +11,7 @@ from ursnav_torch.geometry import rotation_angle
 from ursnav_torch.localization.certainty import LEVELS
 from ursnav_torch.localization.learned import PositionErrors, TrackWeights, packaged_models
 from ursnav_torch.tracking.motion import Hypotheses
+from ursnav_torch.tracking.relocalization import Relocated
 
 Array = NDArray[np.float64]
 #: Added to a spread before its logarithm is taken, mm and degrees: hypotheses are no finer.
@@ -94,6 +95,12 @@ class TrackCertainty:
         """The same with a sensor's word on the position, an axis's standard deviation of which is ``sigma_mm``."""
         within = _RADIUS_SD * sigma_mm
         return replace(self, position_sd_mm=float(1 / np.hypot(1 / self.position_sd_mm, 1 / within)))
+
+    def relocated(self, T: Array, found: Relocated) -> "TrackCertainty":
+        """The same of a pose (4, 4) whose picture was surely found by itself: errors are those of where, and how far
+        the pose is from there."""
+        apart = float(np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]))
+        return replace(self, position_sd_mm=min(self.position_sd_mm, float(np.hypot(found.position_sd_mm, apart))))
 
     def later(self, mm: float, deg: float) -> "TrackCertainty":
         """The same after a motion that nobody saw, by its standard deviations."""

@@ -68,7 +68,7 @@ def follow_both_ways(
         with tempfile.TemporaryFile() as spool:
             for moment, features, spent in extracted(tracker, source):
                 start, reading, joints = time.perf_counter() - spent, told.reading(moment), told.joints(moment)
-                answer = tracker.follow(features, moment.t_s, reading, start, joints)
+                answer = tracker.follow(features, moment.t_s, reading, start, joints, moment.image)
                 planes = torch.zeros(0) if features is None else tracker.planes(features)
                 spool.write(planes.numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))

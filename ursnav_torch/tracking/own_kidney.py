@@ -1,10 +1,27 @@
-"""Whether the pictures show the VID's kidney at all, or another one."""
+"""Whether the pictures show the VID's kidney at all, or another one: a sequential test, and a decoy to compare with.
+
+The decoy is the same picture mirrored, which shows no kidney that there is.
+
+How well a wrong kidney's picture fits depends on the picture: on fog, on skin, on how much is to be seen. A mirrored
+picture has all of that in common with the picture and is of another kidney, so that its score tells what is to be
+expected of a wrong one (target and decoy: Elias and Gygi, Nature Methods 4:207, 2007; cohort normalization in speaker
+verification: Rosenberg et al., ICSLP 1992). Along a straight tube both fit alike, and neither kidney is spoken for.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from ursnav_torch.tracking.settings import OwnKidneySettings
+from ursnav_torch.alignment import Refiner
+from ursnav_torch.camera import Camera
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
+from ursnav_torch.tracking.motion import Hypotheses, Since
+from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
+from ursnav_torch.tracking.settings import OwnKidneySettings, TrackSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +35,7 @@ class KidneyEvidence:
         fit: of the best view; where it is high there is much to be seen, and a true pose aligns well.
         decoy: score of the mirrored picture, which is asked while the kidney is in doubt; None else.
         off: standard deviations by which the pose misses the sensor's reading, None without one.
+        relocated: whether the picture was located anew, and surely, see `tracking.relocalization`.
     """
 
     score: float
@@ -25,6 +43,7 @@ class KidneyEvidence:
     fit: float
     decoy: float | None = None
     off: float | None = None
+    relocated: bool = False
 
     def log_odds(self, settings: OwnKidneySettings) -> float:
         """That the picture shows the VID's kidney, within what a single picture may count."""
@@ -34,6 +53,8 @@ class KidneyEvidence:
         if self.decoy is not None:
             doubt, decoy = s.doubt_weights
             odds += doubt + decoy * self.decoy
+        if self.relocated:
+            odds += s.relocated_llr
         if self.off is not None:
             odds += float(np.clip(s.sensor_gate_sd - self.off, -s.max_llr_against, s.max_llr_against))
         return float(np.clip(odds, -s.max_llr_against, s.max_llr_for))
@@ -71,3 +92,56 @@ class OwnKidneyTest:
         if self.trust <= self._settings.reject_below:
             return False
         return True if self.trust >= self._settings.accept_above else None
+
+
+class Decoy:
+    """Follows mirrored pictures as a track is followed that is looked for anew in every picture.
+
+    Args:
+        views: the VID's views, weighed as for the track itself.
+        refiner: aligns poses with pictures.
+        lumen: distances in the kidney.
+        settings: those of the track, lengths in mm of this kidney.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
+    """
+
+    def __init__(
+        self, views: ViewFilter, refiner: Refiner, lumen: LumenDistance, settings: TrackSettings, unit_mm: float = 1.0
+    ) -> None:
+        self._views, self._lumen, self._settings = views, lumen, settings
+        self._pursuit = Pursuit(refiner, settings.challenger, settings.filter, unit_mm)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where mirrored pictures were."""
+        self._pursuit.reset()
+        self._before: Hypotheses | None = None
+        self._at_s = 0.0
+
+    def score(self, mirrored: Features, t_s: float) -> float:
+        """How well the best pose found is aligned with a mirrored picture, whose features have maps.
+
+        Args:
+            mirrored: features of the picture, see `mirrored`.
+            t_s: when it was taken; after a pause longer than tracks are bridged for, the decoy begins anew.
+        """
+        s, passed = self._settings, max(t_s - self._at_s, 1e-3)
+        if passed > s.filter.bridge_s:
+            self.reset()
+        since = None if self._before is None else Since(self._before, passed, s.motion)
+        found, fits = self._views.update(mirrored, since, None)
+        prior = expected(since, None, s.challenger, self._lumen)
+        refined = self._pursuit.follow(Weighed(mirrored, found, fits, prior, None), anew=True)
+        share = s.filter.incumbent_share
+        self._before, self._at_s = with_incumbent(found, refined.T_kidney_camera, share, self._lumen), t_s
+        return refined.score
+
+
+def mirrored(planes: Tensor, working_camera: Camera) -> Tensor:
+    """Planes (P, H, W) of a picture as a mirror beside the scope would show them.
+
+    Columns change places about the lens's axis, to the nearest pixel; a lens that is not the same on both sides of it
+    is taken for one that is.
+    """
+    off_middle = round(2 * working_camera.cx - (planes.shape[-1] - 1))
+    return torch.roll(planes.flip(-1), off_middle, -1)

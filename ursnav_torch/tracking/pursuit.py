@@ -180,6 +180,14 @@ class Pursuit:
         self._missed = None
         return self._incumbent.refined
 
+    def restart(self, features: Features, T_kidney_camera: Array, prior: Prior) -> Refined:
+        """Go on from a pose (4, 4) that the picture was found at by itself, aligned with it; see `Weighed`."""
+        found = self._aligned(features, [T_kidney_camera], prior)
+        self._incumbent, self._challenger, self._good = _Lead(found), None, found.T_kidney_camera
+        self._evidence, self._slipped, self._usual = 0.0, 0, found.score
+        self._borne_out = False
+        return found
+
     def _taken_on(self, picture: Weighed, own: _Lead, T: Array) -> Refined:
         """The track aligned from where it may go on; what `go_on` has aligned of the same picture is not done again."""
         starts, found = self._missed or (self._on(own, picture.carried), None)

@@ -7,6 +7,7 @@ from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
 from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.motion import MotionSettings
 from ursnav_torch.tracking.odometry import OdometrySettings
+from ursnav_torch.tracking.relocalization import RelocalizationSettings
 from ursnav_torch.tracking.smooth import SmoothSettings
 
 
@@ -134,6 +135,7 @@ class OwnKidneySettings:
         doubt_below: the mirrored picture is asked while the sum is below this, so that a settled track costs no more.
         sensor_gate_sd: a sensor's reading that the pose meets within so many standard deviations speaks for this
             kidney; the alignment's own noise is among them.
+        relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds.
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
         accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
             given up. At 2, as much as one picture may count, a place is found a picture or two sooner than at 3, and as
@@ -151,6 +153,7 @@ class OwnKidneySettings:
     doubt_weights: tuple[float, float] = (3.4, -8.0)
     doubt_below: float = 3.0
     sensor_gate_sd: float = 3.0
+    relocated_llr: float = 2.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
     accept_above: float = 2.0
@@ -188,3 +191,4 @@ class TrackSettings:
     smoothing: SmoothSettings = field(default_factory=SmoothSettings)
     certainty: TrackCertaintySettings = field(default_factory=TrackCertaintySettings)
     odometry: OdometrySettings = field(default_factory=OdometrySettings)
+    relocalization: RelocalizationSettings = field(default_factory=RelocalizationSettings)

@@ -34,13 +34,13 @@ from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
-from ursnav_torch.tracking.decoy import Decoy, mirrored
 from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
 from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
-from ursnav_torch.tracking.own_kidney import KidneyEvidence, OwnKidneyTest
+from ursnav_torch.tracking.own_kidney import Decoy, KidneyEvidence, OwnKidneyTest, mirrored
 from ursnav_torch.tracking.pattern import KnownBodies, ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
+from ursnav_torch.tracking.relocalization import Relocalizer, Relocated
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.smooth import PoseFilter
@@ -149,6 +149,8 @@ class Tracker:
             raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
         self._filter = ViewFilter(views, vid.T_kidney_camera[:, :3, 3], self.lumen, s.filter, s.motion.spacing_mm)
         self.known = KnownBodies(self.lumen, vid.kidney.scale)
+        self._relocalizer = Relocalizer(vid) if np.isfinite(s.relocalization.above_mm) else None
+        self._relocates = True
         self._decoy = Decoy(self._filter, self._refiner, self.lumen, s, vid.kidney.scale)
         self.reset()
 
@@ -167,7 +169,7 @@ class Tracker:
 
         Args:
             level: 0 spends all that the settings say, 1 follows a good track by aligning two poses in a few steps
-                and searches half as often, 2 or more also weighs a third of the hypotheses.
+                and searches half as often, 2 or more also weighs a third of the hypotheses and locates no picture anew.
         """
         full, refinement = self.settings.filter, self._full_refinement
         few = max(full.hypotheses // 3, 2)
@@ -176,6 +178,7 @@ class Tracker:
         self._pursuit.catches = challenger.catches // 2 if level else challenger.catches
         self._refiner.settings = replace(refinement, iterations=4) if level else refinement
         seldom = replace(full, every_s=2 * full.every_s) if level else full
+        self._relocates = level < 2
         self._filter.settings = replace(seldom, hypotheses=few, best_fitting=max(few // 4, 1)) if level > 1 else seldom
 
     def reset(self) -> None:
@@ -214,7 +217,7 @@ class Tracker:
             InputError: the picture cannot be of the VID's lens.
         """
         start = time.perf_counter()
-        return self.follow(self.extract(image), t_s, sensor, start, odometry)
+        return self.follow(self.extract(image), t_s, sensor, start, odometry, image)
 
     def extract(self, image: NDArray[np.uint8], edges: bool = False) -> Features | None:
         """What `follow` needs of a picture (H, W) or (H, W, 3), None where it shows nothing; both may run at once.
@@ -267,15 +270,19 @@ class Tracker:
         sensor: SensorReading | None = None,
         start: float | None = None,
         odometry: OdometryReading | None = None,
+        image: NDArray[np.uint8] | None = None,
     ) -> Tracked:
-        """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``."""
+        """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``.
+
+        Without the ``image`` no picture is located anew, see `relocalization`.
+        """
         start = time.perf_counter() if start is None else start
         self._carry(t_s, odometry)
         if features is None:
             self._aligned = None
             return self._bridge(t_s, start)
         with torch.inference_mode(), one_thread_an_operation():
-            return replace(self._follow(self._left_out(features), t_s, sensor, start), bodies=features.bodies)
+            return replace(self._follow(self._left_out(features), t_s, sensor, start, image), bodies=features.bodies)
 
     def _left_out(self, features: Features) -> Features:
         """Features without what is known to hide the wall from where a track goes on."""
@@ -311,7 +318,14 @@ class Tracker:
             self._trail.mark(refined.T_kidney_camera)
         self._aligned, self._carried = refined, STILL
 
-    def _follow(self, features: Features, t_s: float, sensor: SensorReading | None, start: float) -> Tracked:
+    def _follow(
+        self,
+        features: Features,
+        t_s: float,
+        sensor: SensorReading | None,
+        start: float,
+        image: NDArray[np.uint8] | None,
+    ) -> Tracked:
         """The answer to a picture that shows something."""
         passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         as_taken, features = features, self._pattern.removed(features)
@@ -320,7 +334,7 @@ class Tracker:
         prior = expected(since, sensor, self.settings.challenger, self.lumen)
         way = None if carried is None else carried.T_before_now
         told = self._told_places(t_s)
-        evidence, refined = None, self._gone_on(features, prior, way, t_s)
+        evidence, relocated, refined = None, None, self._gone_on(features, prior, way, t_s)
         if refined is None:
             bare = not features.maps.numel()
             mapped = self._extractor.with_relief(features, features.fields[0]) if bare else features
@@ -328,9 +342,14 @@ class Tracker:
             self._fit = float(fits[self._found.weight.argmax()])
             picture = Weighed(features, self._found, fits, prior, sensor, way, told)
             refined = self._pursuit.follow(picture, anew=self._state != TRACKING or not self._is_sure)
+            relocated = None if image is None else self._relocated(image, as_taken, refined)
+            sure = relocated is not None and relocated.sure
+            if relocated is not None and sure:
+                refined = self._pursuit.restart(features, relocated.T_kidney_camera, prior)
+                self._smooth.reset()
             plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
             decoy = self._decoy.score(self._mirrored(as_taken), t_s) if self._test.in_doubt else None
-            evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s)
+            evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s, sure)
         found, fit = self._found, self._fit
         assert found is not None
         self._learn_plays(refined, passed)
@@ -346,6 +365,8 @@ class Tracker:
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T_aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
+        if relocated is not None and relocated.sure:
+            self._sure = self._sure.relocated(T, relocated)
         if sensor is not None and sensor.camera_at(T) is not None:
             self._sure = self._sure.sensed(sensor.sigma_mm)
         confidence = share / (1 + np.exp(-self._test.trust))
@@ -365,6 +386,20 @@ class Tracker:
         probability = self.settings.certainty.set_probability
         errors = self._weights.position if self._step is None else self._weights.position_told
         return track_certainty(evidence, self._weights, errors, probability, kidney.scale), float(evidence.share[calyx])
+
+    def _relocated(self, image: NDArray[np.uint8], seen: Features, refined: Refined) -> Relocated | None:
+        """Where a picture (H, W) or (H, W, 3) is found by itself, where an aligned pose does not place it."""
+        if self._relocalizer is None or not self._relocates:
+            return None
+        if self._state == TRACKING and self._found is not None:
+            T = refined.T_kidney_camera
+            calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
+            if (
+                self._certainty(self._found, T, calyx, refined.score)[0].region_mm
+                <= self.settings.relocalization.above_mm
+            ):
+                return None
+        return self._relocalizer.locate(image, seen)
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
@@ -390,7 +425,9 @@ class Tracker:
         planes = mirrored(self.planes(as_taken), self.working_camera)
         return self._extractor.with_relief(self.recall(planes), planes[0])
 
-    def _judge(self, picture: Weighed, T: Array, score: float, decoy: float | None, t_s: float) -> KidneyEvidence:
+    def _judge(
+        self, picture: Weighed, T: Array, score: float, decoy: float | None, t_s: float, relocated: bool
+    ) -> KidneyEvidence:
         """Settle the state after a picture aligned at a pose (4, 4); scores are for the picture as it was taken."""
         seconds = self.settings.own_kidney.frame_s if self._looked_s is None else max(t_s - self._looked_s, 1e-3)
         self._looked_s = t_s
@@ -398,7 +435,7 @@ class Tracker:
         worst = float(picture.fits.min())  # what was not kept fits no better
         here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
         off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
-        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), decoy, off)
+        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), decoy, off, relocated)
         self._test.add(evidence, seconds)
         if self._test.verdict is not None:
             self._state = TRACKING if self._test.verdict else LOST

@@ -1,0 +1,106 @@
+"""Pictures that a track cannot place, located anew as stills are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from flights import flight
+
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import Features
+from ursnav_torch.kidney import Kidney
+from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking.relocalization import RelocalizationSettings, Relocalizer, Relocated
+from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.tracker import TRACKING, Tracker
+from ursnav_torch.vid import Vid
+
+
+class Told:
+    """Answers every picture with one pose, and counts the pictures."""
+
+    def __init__(self, T_kidney_camera: np.ndarray, sure: bool) -> None:
+        self.answer, self.asked = Relocated(T_kidney_camera, sure, 0.2), 0
+
+    def locate(self, image: np.ndarray, seen: Features) -> Relocated:
+        self.asked += 1
+        return self.answer
+
+
+def features_of(vid: Vid, image: np.ndarray) -> Features:
+    found = Tracker(vid, TrackSettings(relocalization=RelocalizationSettings(above_mm=np.inf))).extract(image)
+    assert found is not None
+    return found
+
+
+def test_a_clear_picture_is_found_where_it_was_taken(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    T = flight(phantom, 2)[-1]
+    image = renderer.render(T).image
+    found = Relocalizer(vid).locate(image, features_of(vid, image))
+    assert found is not None and found.position_sd_mm > 0
+    assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 1.0
+
+
+def test_a_picture_of_nothing_is_found_nowhere(vid: Vid, picture: np.ndarray) -> None:
+    assert Relocalizer(vid).locate(np.full_like(picture, 255), features_of(vid, picture)) is None
+
+
+def test_what_the_track_knows_to_be_no_wall_is_left_out(vid: Vid, picture: np.ndarray) -> None:
+    relocalizer, seen = Relocalizer(vid), features_of(vid, picture)
+    asked: list[Features] = []
+    locate = relocalizer._localizer.locate_features
+    relocalizer._localizer.locate_features = lambda f: asked.append(f) or locate(f)  # type: ignore[method-assign]
+    valid = torch.ones(seen.fields.shape[1:])
+    valid[:20] = 0
+    relocalizer.locate(picture, replace(seen, valid=valid))
+    relocalizer.locate(picture, seen)
+    assert not asked[0].valid[:20].any() and asked[0].valid[30:].any()
+    assert not asked[1].valid.numel() or asked[1].valid[:20].any()
+
+
+def test_a_track_asks_until_it_has_a_place_and_no_more(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    tracker, poses = Tracker(vid), flight(phantom, 2)
+    told = tracker._relocalizer = Told(poses[0], sure=False)  # type: ignore[assignment]
+    states = [tracker.step(renderer.render(T).image, i / 10).state for i, T in enumerate(poses)]
+    asked = told.asked
+    assert states[-1] == TRACKING and 1 <= asked <= 1 + states.index(TRACKING)
+    features = tracker.extract(renderer.render(poses[0]).image)
+    tracker.reset()
+    tracker.follow(features, 100.0)
+    assert told.asked == asked, "without a picture nobody can be asked"
+    for level, more in ((2, 0), (1, 1)):
+        tracker.reset()
+        tracker.ease(level)
+        tracker.step(renderer.render(poses[0]).image, 200.0)
+        assert told.asked == asked + more
+
+
+def test_a_track_goes_on_where_its_picture_is_surely_found(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer
+) -> None:
+    """A settled track's picture shows another place, where the filter looks for it last."""
+    poses, far = flight(phantom, 2), flight(phantom, 5)[-1]
+    image = renderer.render(far).image
+    for sure in (True, False):
+        tracker = Tracker(vid, TrackSettings(relocalization=RelocalizationSettings(above_mm=0.01)))
+        tracker._relocalizer = None
+        for i, T in enumerate(poses):
+            tracker.step(renderer.render(T).image, i / 10)
+        tracker._relocalizer = Told(far, sure)  # type: ignore[assignment]
+        tracker._pursuit.follow = lambda picture, anew, before=tracker._aligned: before  # type: ignore[method-assign, assignment]
+        answer = tracker.step(image, len(poses) / 10)
+        assert answer.T_aligned is not None
+        assert bool(np.linalg.norm(answer.T_aligned[:3, 3] - far[:3, 3]) < 1.0) is sure
+        assert answer.evidence is not None and answer.evidence.relocated is sure
+
+
+def test_a_track_that_never_asks_has_nobody_to_ask(vid: Vid) -> None:
+    tracker = Tracker(vid, TrackSettings(relocalization=RelocalizationSettings(above_mm=np.inf)))
+    assert tracker._relocalizer is None
+
+
+def test_settings_without_a_meaning_are_refused() -> None:
+    for above_mm in (0.0, np.nan):
+        with pytest.raises(InputError, match="above_mm > 0, got"):
+            RelocalizationSettings(above_mm)

@@ -1,0 +1,79 @@
+"""Relocalization: the picture of a track that is unsure of its place, located anew as a still is.
+
+A track aligns what motion and a quick search lead to, by the light alone. A still's way has no past that may be wrong:
+it reads the wall with the network, compares every view by shapes, too, verifies, and knows how sure it is. It takes
+several times as long, so that only the pictures are asked that a track cannot place by itself.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ursnav_torch.errors import FeatureError, InputError
+from ursnav_torch.features import Features
+from ursnav_torch.localization import Localizer
+from ursnav_torch.vid import Vid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RelocalizationSettings:
+    """When a picture is located anew, and what that counts.
+
+    Attributes:
+        above_mm: where the region that holds the position with 90 % reaches farther, and where there is no place; inf
+            never asks.
+    """
+
+    above_mm: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not self.above_mm > 0:
+            raise InputError(f"Expected relocalization.above_mm > 0, got {self.above_mm}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Relocated:
+    """Where a picture alone was taken.
+
+    Attributes:
+        T_kidney_camera: (4, 4).
+        sure: whether no more of such answers are wrong than a localizer accepts, see `LocalizationSettings.risk`.
+        position_sd_mm: two of three positions are within this.
+    """
+
+    T_kidney_camera: Array
+    sure: bool
+    position_sd_mm: float
+
+
+class Relocalizer:
+    """Locates single pictures of a video in one VID, as `Localizer` does with its defaults."""
+
+    def __init__(self, vid: Vid) -> None:
+        self._localizer = Localizer(vid)
+
+    def locate(self, image: NDArray[np.uint8], seen: Features) -> Relocated | None:
+        """Where a picture (H, W) or (H, W, 3) was taken.
+
+        Args:
+            image: the picture.
+            seen: its features as the track has them, which tell what of it is wall.
+
+        Returns:
+            None where it shows too little, or where nothing is known of how sure answers are.
+        """
+        if not self._localizer.knows_confidence:
+            return None
+        try:
+            features = self._localizer.features(image)
+        except FeatureError:
+            return None
+        if seen.valid.numel():
+            own = features.valid
+            features = replace(features, valid=torch.minimum(own, seen.valid) if own.numel() else seen.valid)
+        found = self._localizer.locate_features(features)
+        return Relocated(found.T_kidney_camera, found.accepted, found.position_sd_mm)
