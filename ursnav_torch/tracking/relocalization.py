@@ -25,7 +25,9 @@ class RelocalizationSettings:
 
     Attributes:
         above_mm: where the region that holds the position with 90 % reaches farther, and where there is no place; inf
-            never asks.
+            never asks. 2 and 3 mm and never: a place in 94.8, 95.2 and 94.1 % of the choosing flights' pictures, 0.8,
+            0.8 and 1.0 % of these more than 3 mm off (`benchmarks.flights phantoms=16 half=choosing
+            vary=relocalization.above_mm=2,inf`).
     """
 
     above_mm: float = 3.0
