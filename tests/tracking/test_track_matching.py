@@ -14,6 +14,7 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.search import VIDEO_SEARCH
+from ursnav_torch.tracking.relocalization import RelocalizationSettings
 from ursnav_torch.tracking.settings import OwnKidneySettings, TrackSettings
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import Vid
@@ -33,7 +34,8 @@ def test_a_flight_is_followed_with_every_way_of_matching(
 
     monkeypatch.setattr(method, "assign", counted)
     matching = instantiate(OmegaConf.load(CONFIGS / f"{name}.yaml"))
-    certain = TrackSettings(own_kidney=OwnKidneySettings(doubt_below=-99.0))  # no decoy asks, too
+    alone = RelocalizationSettings(above_mm=np.inf)  # nor does a still, nor the decoy
+    certain = TrackSettings(own_kidney=OwnKidneySettings(doubt_below=-99.0), relocalization=alone)
     tracker = Tracker(vid, certain, search=replace(VIDEO_SEARCH, shape_weight=2.0), matching=matching)
     poses = flight(phantom, 1)[-6:]
     answers = [tracker.step(renderer.render(T).image, i / 10) for i, T in enumerate(poses)]
