@@ -18,12 +18,13 @@ from ursnav_torch.vid import Vid
 
 
 class Told:
-    """Answers every picture with one pose, and counts the pictures."""
+    """Answers every picture with one pose, or is never sure, and counts the pictures."""
 
-    def __init__(self, T_kidney_camera: np.ndarray, sure: bool) -> None:
-        self.answer, self.asked = Relocated(T_kidney_camera, sure, 0.2), 0
+    def __init__(self, T_kidney_camera: np.ndarray | None) -> None:
+        self.answer = None if T_kidney_camera is None else Relocated(T_kidney_camera, 0.2)
+        self.asked = 0
 
-    def locate(self, image: np.ndarray, seen: Features) -> Relocated:
+    def locate(self, image: np.ndarray, seen: Features) -> Relocated | None:
         self.asked += 1
         return self.answer
 
@@ -37,9 +38,13 @@ def features_of(vid: Vid, image: np.ndarray) -> Features:
 def test_a_clear_picture_is_found_where_it_was_taken(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
     T = flight(phantom, 2)[-1]
     image = renderer.render(T).image
-    found = Relocalizer(vid).locate(image, features_of(vid, image))
+    relocalizer, seen = Relocalizer(vid), features_of(vid, image)
+    relocalizer._localizer.threshold = 0.0
+    found = relocalizer.locate(image, seen)
     assert found is not None and found.position_sd_mm > 0
     assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 1.0
+    relocalizer._localizer.threshold = 1.01
+    assert relocalizer.locate(image, seen) is None, "an answer that is not accepted counts for nothing"
 
 
 def test_a_picture_of_nothing_is_found_nowhere(vid: Vid, picture: np.ndarray) -> None:
@@ -61,7 +66,7 @@ def test_what_the_track_knows_to_be_no_wall_is_left_out(vid: Vid, picture: np.nd
 
 def test_a_track_asks_until_it_has_a_place_and_no_more(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
     tracker, poses = Tracker(vid), flight(phantom, 2)
-    told = tracker._relocalizer = Told(poses[0], sure=False)  # type: ignore[assignment]
+    told = tracker._relocalizer = Told(None)  # type: ignore[assignment]
     states = [tracker.step(renderer.render(T).image, i / 10).state for i, T in enumerate(poses)]
     asked = told.asked
     assert states[-1] == TRACKING and 1 <= asked <= 1 + states.index(TRACKING)
@@ -87,7 +92,7 @@ def test_a_track_goes_on_where_its_picture_is_surely_found(
         tracker._relocalizer = None
         for i, T in enumerate(poses):
             tracker.step(renderer.render(T).image, i / 10)
-        tracker._relocalizer = Told(far, sure)  # type: ignore[assignment]
+        tracker._relocalizer = Told(far if sure else None)  # type: ignore[assignment]
         tracker._pursuit.follow = lambda picture, anew, before=tracker._aligned: before  # type: ignore[method-assign, assignment]
         answer = tracker.step(image, len(poses) / 10)
         assert answer.T_aligned is not None

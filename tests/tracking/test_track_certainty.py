@@ -97,5 +97,5 @@ def test_refusals() -> None:
 def test_a_picture_surely_found_by_itself_tells_how_far_off_a_pose_is() -> None:
     told, there = track_certainty(evidence(), WEIGHTS, ERRORS, 0.95, 1.0), np.eye(4)
     there[0, 3] = 0.3
-    assert told.relocated(np.eye(4), Relocated(there, True, 0.4)).position_sd_mm == pytest.approx(0.5)
-    assert told.relocated(np.eye(4), Relocated(there, True, 99.0)).position_sd_mm == told.position_sd_mm
+    assert told.relocated(np.eye(4), Relocated(there, 0.4)).position_sd_mm == pytest.approx(0.5)
+    assert told.relocated(np.eye(4), Relocated(there, 99.0)).position_sd_mm == told.position_sd_mm

@@ -180,9 +180,9 @@ class Pursuit:
         self._missed = None
         return self._incumbent.refined
 
-    def restart(self, features: Features, T_kidney_camera: Array, prior: Prior) -> Refined:
-        """Go on from a pose (4, 4) that the picture was found at by itself, aligned with it; see `Weighed`."""
-        found = self._aligned(features, [T_kidney_camera], prior)
+    def restart(self, picture: Weighed, T_kidney_camera: Array) -> Refined:
+        """Go on from a pose (4, 4) that a picture was found at by itself, aligned with it."""
+        found = self._aligned(picture.features, [T_kidney_camera], picture.prior)
         self._incumbent, self._challenger, self._good = _Lead(found), None, found.T_kidney_camera
         self._evidence, self._slipped, self._usual = 0.0, 0, found.score
         self._borne_out = False

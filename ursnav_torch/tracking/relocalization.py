@@ -39,16 +39,14 @@ class RelocalizationSettings:
 
 @dataclass(frozen=True, slots=True)
 class Relocated:
-    """Where a picture alone was taken.
+    """Where a picture alone was surely taken.
 
     Attributes:
         T_kidney_camera: (4, 4).
-        sure: whether no more of such answers are wrong than a localizer accepts, see `LocalizationSettings.risk`.
         position_sd_mm: two of three positions are within this.
     """
 
     T_kidney_camera: Array
-    sure: bool
     position_sd_mm: float
 
 
@@ -66,10 +64,9 @@ class Relocalizer:
             seen: its features as the track has them, which tell what of it is wall.
 
         Returns:
-            None where it shows too little, or where nothing is known of how sure answers are.
+            None where it shows too little, or the answer is not one that a localizer accepts, see
+            `LocalizationSettings.risk`.
         """
-        if not self._localizer.knows_confidence:
-            return None
         try:
             features = self._localizer.features(image)
         except FeatureError:
@@ -78,4 +75,4 @@ class Relocalizer:
             own = features.valid
             features = replace(features, valid=torch.minimum(own, seen.valid) if own.numel() else seen.valid)
         found = self._localizer.locate_features(features)
-        return Relocated(found.T_kidney_camera, found.accepted, found.position_sd_mm)
+        return Relocated(found.T_kidney_camera, found.position_sd_mm) if found.accepted else None

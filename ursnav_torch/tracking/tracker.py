@@ -336,20 +336,14 @@ class Tracker:
         told = self._told_places(t_s)
         evidence, relocated, refined = None, None, self._gone_on(features, prior, way, t_s)
         if refined is None:
-            bare = not features.maps.numel()
-            mapped = self._extractor.with_relief(features, features.fields[0]) if bare else features
-            self._found, fits = self._filter.update(mapped, since, sensor)
+            self._found, fits = self._filter.update(self._mapped(features), since, sensor)
             self._fit = float(fits[self._found.weight.argmax()])
             picture = Weighed(features, self._found, fits, prior, sensor, way, told)
             refined = self._pursuit.follow(picture, anew=self._state != TRACKING or not self._is_sure)
-            relocated = None if image is None else self._relocated(image, as_taken, refined)
-            sure = relocated is not None and relocated.sure
-            if relocated is not None and sure:
-                refined = self._pursuit.restart(features, relocated.T_kidney_camera, prior)
-                self._smooth.reset()
+            refined, relocated = self._relocated(picture, as_taken, image, refined)
             plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
             decoy = self._decoy.score(self._mirrored(as_taken), t_s) if self._test.in_doubt else None
-            evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s, sure)
+            evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s, relocated is not None)
         found, fit = self._found, self._fit
         assert found is not None
         self._learn_plays(refined, passed)
@@ -365,7 +359,7 @@ class Tracker:
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T_aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         self._sure, share = self._certainty(found, T, calyx, refined.score)
-        if relocated is not None and relocated.sure:
+        if relocated is not None:
             self._sure = self._sure.relocated(T, relocated)
         if sensor is not None and sensor.camera_at(T) is not None:
             self._sure = self._sure.sensed(sensor.sigma_mm)
@@ -387,19 +381,27 @@ class Tracker:
         errors = self._weights.position if self._step is None else self._weights.position_told
         return track_certainty(evidence, self._weights, errors, probability, kidney.scale), float(evidence.share[calyx])
 
-    def _relocated(self, image: NDArray[np.uint8], seen: Features, refined: Refined) -> Relocated | None:
-        """Where a picture (H, W) or (H, W, 3) is found by itself, where an aligned pose does not place it."""
-        if self._relocalizer is None or not self._relocates:
-            return None
-        if self._state == TRACKING and self._found is not None:
+    def _mapped(self, features: Features) -> Features:
+        """Features with the maps that the views are searched by."""
+        return features if features.maps.numel() else self._extractor.with_relief(features, features.fields[0])
+
+    def _relocated(
+        self, picture: Weighed, as_taken: Features, image: NDArray[np.uint8] | None, refined: Refined
+    ) -> tuple[Refined, Relocated | None]:
+        """The pose aligned, or, where that is no place and the picture itself is surely found, one from there."""
+        if self._relocalizer is None or not self._relocates or image is None:
+            return refined, None
+        if self._state == TRACKING:
             T = refined.T_kidney_camera
             calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
-            if (
-                self._certainty(self._found, T, calyx, refined.score)[0].region_mm
-                <= self.settings.relocalization.above_mm
-            ):
-                return None
-        return self._relocalizer.locate(image, seen)
+            sure, _ = self._certainty(picture.found, T, calyx, refined.score)
+            if sure.region_mm <= self.settings.relocalization.above_mm:
+                return refined, None
+        found = self._relocalizer.locate(image, as_taken)
+        if found is None:
+            return refined, None
+        self._smooth.reset()
+        return self._pursuit.restart(picture, found.T_kidney_camera), found
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
         """Keep the hypotheses, and the track's pose as one of them."""
