@@ -274,7 +274,7 @@ class Tracker:
     ) -> Tracked:
         """`step` from what `extract` gave; the answer's seconds count from ``start``, on ``time.perf_counter``.
 
-        Without the ``image`` no picture is located anew, see `relocalization`.
+        Without the ``image`` (H, W) or (H, W, 3) no picture is located anew, see `relocalization`.
         """
         start = time.perf_counter() if start is None else start
         self._carry(t_s, odometry)
