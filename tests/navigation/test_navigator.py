@@ -107,6 +107,16 @@ def test_a_calyx_can_be_chosen_and_the_choice_taken_back(navigator, vid):
         assert state.guidance.chosen == ""
 
 
+def test_the_picture_is_at_hand_for_a_track_that_is_unsure(navigator, vid, renderer, monkeypatch):
+    follow, given = navigator.tracker.follow, []
+    monkeypatch.setattr(navigator.tracker, "follow", lambda *seen: given.append(seen[-1]) or follow(*seen))
+    with navigator:
+        frame, _ = next(frames(vid, renderer))
+        navigator.take(frame)
+        assert navigator.wait()
+    assert len(given) == 1 and given[0] is frame.image
+
+
 def test_a_picture_of_another_size_costs_one_row(navigator, vid, renderer):
     good = next(frames(vid, renderer))[0]
     with navigator:

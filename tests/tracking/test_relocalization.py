@@ -11,8 +11,10 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.tracking.follow import Moment, Source, follow_source
+from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.relocalization import RelocalizationSettings, Relocalizer, Relocated
-from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
 
@@ -21,7 +23,7 @@ class Told:
     """Answers every picture with one pose, or is never sure, and counts the pictures."""
 
     def __init__(self, T_kidney_camera: np.ndarray | None) -> None:
-        self.answer = None if T_kidney_camera is None else Relocated(T_kidney_camera, 0.2)
+        self.answer = None if T_kidney_camera is None else Relocated(T_kidney_camera, 1e-3)
         self.asked = 0
 
     def locate(self, image: np.ndarray, seen: Features) -> Relocated | None:
@@ -84,20 +86,44 @@ def test_a_track_asks_until_it_has_a_place_and_no_more(vid: Vid, phantom: Kidney
 def test_a_track_goes_on_where_its_picture_is_surely_found(
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer
 ) -> None:
-    """A settled track's picture shows another place, where the filter looks for it last."""
+    """A settled track's picture shows another place, which the filter misses and no leap would be believed to."""
     poses, far = flight(phantom, 2), flight(phantom, 5)[-1]
     image = renderer.render(far).image
+    never = ChallengerSettings(reacquire_below=1.01)
     for sure in (True, False):
-        tracker = Tracker(vid, TrackSettings(relocalization=RelocalizationSettings(above_mm=0.01)))
+        tracker = Tracker(vid, TrackSettings(challenger=never, relocalization=RelocalizationSettings(above_mm=0.01)))
         tracker._relocalizer = None
         for i, T in enumerate(poses):
             tracker.step(renderer.render(T).image, i / 10)
         tracker._relocalizer = Told(far if sure else None)  # type: ignore[assignment]
-        tracker._pursuit.follow = lambda picture, anew, before=tracker._aligned: before  # type: ignore[method-assign, assignment]
+        tracker._pursuit.follow = lambda picture, anew, before=tracker._aligned: before  # type: ignore[method-assign]
         answer = tracker.step(image, len(poses) / 10)
-        assert answer.T_aligned is not None
-        assert bool(np.linalg.norm(answer.T_aligned[:3, 3] - far[:3, 3]) < 1.0) is sure
+        assert answer.T_kidney_camera is not None and answer.certainty is not None
+        off = float(np.linalg.norm(answer.T_kidney_camera[:3, 3] - far[:3, 3]))
+        assert (off < 1.0) is sure
+        assert not sure or answer.certainty.position_sd_mm <= np.hypot(1e-3, off), "the still's word on the error"
         assert answer.evidence is not None and answer.evidence.relocated is sure
+
+
+def test_a_recording_is_followed_with_its_pictures_at_hand(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer
+) -> None:
+    moments = [Moment(i, i / 10, renderer.render(T).image, str(i)) for i, T in enumerate(flight(phantom, 2)[:3])]
+    source = Source(lambda: iter(moments), len(moments), "pictures")
+    for follow in (follow_source, follow_both_ways):
+        tracker = Tracker(vid)
+        told = tracker._relocalizer = Told(None)  # type: ignore[assignment]
+        assert len(list(follow(tracker, source))) == len(moments)
+        assert told.asked >= 1
+
+
+def test_nobody_is_asked_where_nothing_is_known_of_confidence(
+    vid: Vid, picture: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    relocalizer, seen = Relocalizer(vid), features_of(vid, picture)
+    monkeypatch.setattr(relocalizer._localizer, "_certainty", None)
+    monkeypatch.setattr(relocalizer._localizer, "features", lambda image: pytest.fail("this takes time for nothing"))
+    assert relocalizer.locate(picture, seen) is None
 
 
 def test_a_track_that_never_asks_has_nobody_to_ask(vid: Vid) -> None:

@@ -171,9 +171,8 @@ class Explorer:
         if seen.position_sd_mm is not None and seen.position_sd_mm > s.doubtful_sd_mm:
             return f"the place may be {seen.position_sd_mm:.1f} mm off"
         many = len(seen.calyces) > 1 and self.target in seen.calyces
-        if many and (
-            seen.position_sd_mm is None or not seen.is_known(s.stale_s, s.sure_sd_mm)
-        ):  # where it is sure, two are in sight
+        sure = seen.position_sd_mm is not None and seen.is_known(s.stale_s, s.sure_sd_mm)
+        if many and not sure:  # where it is sure, two are in sight
             return "it may be calyx " + " or ".join(self.visits[c].calyx for c in seen.calyces)
         return ""
 

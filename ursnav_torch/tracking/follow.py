@@ -93,8 +93,6 @@ def follow_source(
     told = instruments or Instruments()
     for moment, features, spent in extracted(tracker, source):
         start = time.perf_counter() - spent
-        yield (
-            moment,
-            tracker.follow(features, moment.t_s, told.reading(moment), start, told.joints(moment), moment.image),
-        )
+        reading, joints = told.reading(moment), told.joints(moment)
+        yield moment, tracker.follow(features, moment.t_s, reading, start, joints, moment.image)
         advance(1)

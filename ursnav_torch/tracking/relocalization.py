@@ -2,7 +2,7 @@
 
 A track aligns what motion and a quick search lead to, by the light alone. A still's way has no past that may be wrong:
 it reads the wall with the network, compares every view by shapes, too, verifies, and knows how sure it is. It takes
-several times as long, so that only the pictures are asked that a track cannot place by itself.
+its time besides, so that only the pictures are asked that a track cannot place by itself.
 """
 
 from dataclasses import dataclass, replace
@@ -67,6 +67,8 @@ class Relocalizer:
             None where it shows too little, or the answer is not one that a localizer accepts, see
             `LocalizationSettings.risk`.
         """
+        if not self._localizer.knows_confidence:  # then none is accepted
+            return None
         try:
             features = self._localizer.features(image)
         except FeatureError:
