@@ -84,8 +84,8 @@ class ViewSearch:
         views = None if self._screened is None else self._screened.likeliest(maps[0])
         scan, rows = self._scan_of(views)
         straight = scan.first_look(maps, rows, valid)
-        best = straight.topk(min(s.scan_finalists, len(straight))).indices.numpy()
-        found = self._at_tilts(tilted(), best if views is None else views[best])
+        best = straight.topk(min(s.scan_finalists, len(straight))).indices
+        found = self._at_tilts(tilted(), scan, best, best.numpy() if views is None else views[best.numpy()])
         found = self.with_shapes(features, found.at(best_first(found.score, s.finalists)))
         return found.at(best_first(found.score, s.finalists))
 
@@ -97,11 +97,12 @@ class ViewSearch:
 
     def at_tilts(self, features: Features, views: Rows) -> Ranking:
         """Views (K,), in their order, each at the tilt and roll that suit it best."""
-        return self._at_tilts(self._seen(features, self._grids), views)
+        return self._at_tilts(self._seen(features, self._grids), *self._scan_of(views), views)
 
-    def _at_tilts(self, seen: tuple[Tensor, Tensor | None], views: Rows) -> Ranking:
-        """`at_tilts` of what is `_seen` there."""
-        scan, rows = self._scan_of(views)
+    def _at_tilts(
+        self, seen: tuple[Tensor, Tensor | None], scan: RollScan, rows: Tensor | None, views: Rows
+    ) -> Ranking:
+        """`at_tilts` of what is `_seen` there, by a scan that has the views (K,) at rows (K,), all where None."""
         found = scan.scan(seen[0], rows, seen[1])
         return self._ranking(views, found.score.numpy(), found.roll.numpy(), self._tilts[found.tilt.numpy()])
 
