@@ -50,7 +50,7 @@ from ursnav_torch.geometry import transform_from
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, Rehearsed
 from ursnav_torch.simulation import SimulatedTime, Twin, TwinPilot
 from ursnav_torch.stones import FoundStone, StoneMapSettings, watch_stones
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracker
 from ursnav_torch.vid import Vid
 

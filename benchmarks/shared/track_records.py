@@ -16,7 +16,8 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.features import Features
 from ursnav_torch.geometry import angle_between
 from ursnav_torch.kidney import LumenDistance, observed_calyx
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.reading import planes_of, recalled
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker, video_refinement
 from ursnav_torch.vid import Vid
@@ -138,12 +139,12 @@ def features_of(seen: Flown, tracker: Tracker) -> Iterator[Features | None]:
     path = seen.folder / f"planes_{key}.npz"
     if not path.exists():
         found = [tracker.extract(image) for image in seen.images()]
-        planes = {str(i): tracker.planes(f).numpy().astype(np.float16) for i, f in enumerate(found) if f is not None}
+        planes = {str(i): planes_of(f).numpy().astype(np.float16) for i, f in enumerate(found) if f is not None}
         np.savez_compressed(path, **planes)
     with np.load(path) as kept:
         for i in range(len(seen.flight.t_s)):
             known = str(i) in kept.files
-            yield tracker.recall(torch.from_numpy(kept[str(i)].astype(np.float32))) if known else None
+            yield recalled(torch.from_numpy(kept[str(i)].astype(np.float32))) if known else None
 
 
 def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.shared.fingerprints import sources
 from benchmarks.stones.flights import StoneFlight, stone_vid
 from benchmarks.stones.scores import Poses
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.tracker import Tracker
 
 _ROOMS = ("features", "matching", "search", "alignment", "localization", "tracking")

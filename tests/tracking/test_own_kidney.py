@@ -163,7 +163,9 @@ def test_a_decoy_that_begins_anew_knows_nothing_of_the_pictures_before(
     """After a reset, and after a pause longer than a track is bridged for."""
     tracker, poses = Tracker(vid), flight(phantom, 1)
     first, there = (
-        tracker._mirrored(found) for T in (poses[0], poses[-1]) if (found := tracker.extract(renderer.render(T).image))
+        tracker._reader.mirrored(found)
+        for T in (poses[0], poses[-1])
+        if (found := tracker.extract(renderer.render(T).image))
     )
     fresh = tracker._decoy.score(first, 0.0)
     for begin_s, forget in ((0.0, tracker.reset), (100.0, lambda: None)):

@@ -15,8 +15,8 @@ from ursnav_torch.kidney import Kidney, make_phantom_kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.motion import Hypotheses, Since
-from ursnav_torch.tracking.odometry import OdometryReading
 from ursnav_torch.tracking.pursuit import expected
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, OwnKidneySettings, TrackSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker

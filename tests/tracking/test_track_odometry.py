@@ -7,7 +7,7 @@ from flights import flight
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.certainty import track_weights
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 from ursnav_torch.vid import Vid

@@ -14,6 +14,7 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.tracking.follow import Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways, join
+from ursnav_torch.tracking.reading import planes_of, recalled
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth import Measured, SmoothSettings, smooth_stretch
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
@@ -135,7 +136,7 @@ def test_the_way_back_sees_what_the_way_there_saw(vid: Vid, source: Source) -> N
     features = tracker.extract(next(source.moments()).image)
     assert features is not None
     for valid in (features.valid, torch.rand(features.fields.shape[1:])):
-        again = tracker.recall(tracker.planes(replace(features, valid=valid)))
+        again = recalled(planes_of(replace(features, valid=valid)))
         np.testing.assert_array_equal(again.maps, features.maps)
         np.testing.assert_array_equal(again.fields, features.fields)
         np.testing.assert_array_equal(again.valid, valid)

@@ -8,7 +8,7 @@ import pytest
 
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.runs.track import put_back
-from ursnav_torch.tracking import tracker as room
+from ursnav_torch.tracking import reading
 from ursnav_torch.tracking.follow import Moment, Source
 from ursnav_torch.tracking.tracker import Tracker
 from ursnav_torch.vid import Vid
@@ -17,7 +17,7 @@ from ursnav_torch.vid import Vid
 def test_burnt_in_text_is_left_out_until_it_moves(
     vid: Vid, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "_LOOKED_AT", (16, 24))
+    monkeypatch.setattr(reading, "_LOOKED_AT", (16, 24))
     plain = replace(vid, settings=replace(vid.settings, learned=0.0))  # the network alone would take it for a stone
     tracker, rng = Tracker(plain), np.random.default_rng(3)
     rows = rng.choice(len(vid), 24, replace=False)

@@ -27,7 +27,7 @@ from ursnav_torch.navigation.status import status_line
 from ursnav_torch.navigation.trail import Trail
 from ursnav_torch.session import Event, Pace, Result
 from ursnav_torch.stones import KnownStone, watch_stones
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid, pose_cells

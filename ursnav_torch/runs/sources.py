@@ -14,7 +14,7 @@ from ursnav_torch.features import IMAGE_SUFFIXES, read_image
 from ursnav_torch.files import natural_key
 from ursnav_torch.tables import numbers, read_csv
 from ursnav_torch.tracking.follow import Moment, Source
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 
 #: Between two reports of a robot farther apart than this it said nothing.
 LONGEST_GAP_S = 0.5

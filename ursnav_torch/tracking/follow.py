@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.features import Features
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import Tracked, Tracker
 

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.tracking.odometry import Carried
+from ursnav_torch.tracking.robot.odometry import Carried
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,8 @@ from ursnav_torch.search.pose_mean import are_near, mean_pose
 from ursnav_torch.tracking.certainty import joined_certainty
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, extracted
 from ursnav_torch.tracking.motion import Hypotheses, transition
-from ursnav_torch.tracking.odometry import OdometryReading
+from ursnav_torch.tracking.reading import planes_of, recalled
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.smooth import Measured, smooth_stretch
 from ursnav_torch.tracking.tracker import SEARCHING, Tracked, Tracker
@@ -69,7 +70,7 @@ def follow_both_ways(
             for moment, features, spent in extracted(tracker, source):
                 start, reading, joints = time.perf_counter() - spent, told.reading(moment), told.joints(moment)
                 answer = tracker.follow(features, moment.t_s, reading, start, joints, moment.image)
-                planes = torch.zeros(0) if features is None else tracker.planes(features)
+                planes = torch.zeros(0) if features is None else planes_of(features)
                 spool.write(planes.numpy().tobytes())
                 light = replace(moment, image=np.zeros((0, 0), np.uint8))
                 there.append(_Followed(light, reading, joints, answer, len(planes)))
@@ -158,7 +159,7 @@ def _recalled(tracker: Tracker, there: Sequence[_Followed], spool: IO[bytes]) ->
         end -= size
         spool.seek(end)
         planes = np.frombuffer(spool.read(size), np.float32).reshape(step.planes, camera.height, camera.width)
-        yield tracker.recall(torch.from_numpy(planes.copy()))
+        yield recalled(torch.from_numpy(planes.copy()))
 
 
 def _chosen(

@@ -6,8 +6,8 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.search.pose_mean import NEAR_DEG, NEAR_MM
 from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.motion import MotionSettings
-from ursnav_torch.tracking.odometry import OdometrySettings
 from ursnav_torch.tracking.relocalization import RelocalizationSettings
+from ursnav_torch.tracking.robot.odometry import OdometrySettings
 from ursnav_torch.tracking.smooth import SmoothSettings
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
-from ursnav_torch.tracking.odometry import Carried
+from ursnav_torch.tracking.robot.odometry import Carried
 
 Array = NDArray[np.float64]
 

@@ -11,20 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ursnav_torch.alignment import Refined, RefinementSettings, Refiner
 from ursnav_torch.alignment.refine import Prior
-from ursnav_torch.errors import FeatureError, InputError
-from ursnav_torch.features import (
-    NO_EDGES,
-    NO_MAPS,
-    NOTHING_BEFORE,
-    DefaultSettings,
-    Features,
-    StillPixels,
-    relief_extractor,
-)
+from ursnav_torch.errors import InputError
+from ursnav_torch.features import DefaultSettings, Features
 from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import inverse
 from ursnav_torch.kidney import observed_calyx
@@ -36,20 +27,20 @@ from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
 from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
-from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading
-from ursnav_torch.tracking.own_kidney import Decoy, KidneyEvidence, OwnKidneyTest, mirrored
+from ursnav_torch.tracking.own_kidney import Decoy, KidneyEvidence, OwnKidneyTest
 from ursnav_torch.tracking.pattern import KnownBodies, ScopePattern
 from ursnav_torch.tracking.pursuit import Pursuit, Weighed, expected
+from ursnav_torch.tracking.reading import TrackReader
 from ursnav_torch.tracking.relocalization import Relocalizer, Relocated
+from ursnav_torch.tracking.robot.dead_reckoning import DeadReckoning
+from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.tracking.smooth import PoseFilter
-from ursnav_torch.tracking.trail import ShaftTrail
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
 TRACKING, LOST, SEARCHING = "tracking", "lost", "searching"
-_LOOKED_AT = (96, 192, 384)  # after so many pictures it is looked for what never changes in them
 _SAME_TIME_S = 1e-3
 
 
@@ -140,10 +131,9 @@ class Tracker:
         self._refiner = Refiner(vid, refinement or video_refinement(s.challenger.starts))
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
-        self._smooth, self._odometry = PoseFilter(s.smoothing), Odometry(s.odometry)
-        self._trail = ShaftTrail(self._odometry, self.lumen, vid.kidney.scale)
-        self._whole = self._extractor = relief_extractor(vid.settings, vid.camera, s.reading.learned)
-        self.working_camera = self._extractor.working_camera
+        self._smooth, self._robot = PoseFilter(s.smoothing), DeadReckoning(s.odometry, self.lumen, vid.kidney.scale)
+        self._reader = TrackReader(vid.settings, vid.camera, s.reading.learned)
+        self.working_camera = self._reader.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
         if not views.scans:
             raise InputError("Tracking compares polar maps, but relief_weight and direction_weight are both 0.")
@@ -162,7 +152,7 @@ class Tracker:
     @property
     def slider_play_mm(self) -> float | None:
         """Width of the slider's play as pictures have shown it; None where no robot tells where it stands."""
-        return None if self._told_s is None else self._odometry.insertion.width()
+        return self._robot.slider_play_mm
 
     def ease(self, level: int) -> None:
         """Spend less on every picture from now on, so that a slow machine keeps up; the track goes on.
@@ -184,11 +174,7 @@ class Tracker:
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
         self._smooth.reset()
-        self._odometry.reset()
-        self._trail.reset()
-        self._told_s: float | None = None  # when the robot last said something
-        self._step: Carried | None = None  # since the picture before
-        self._carried: Carried | None = None  # since the last picture that showed something
+        self._robot.reset()
         self._aligned: Refined | None = None  # that picture's pose
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
@@ -202,7 +188,7 @@ class Tracker:
         self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
         self._decoy.reset()
-        self._still = StillPixels(self.vid.camera.pixel_rays()[1])
+        self._reader.reset()
 
     def step(
         self,
@@ -229,39 +215,11 @@ class Tracker:
         Raises:
             InputError: see `step`.
         """
-        read = self._filter.search.reads_edges
-        self._look_for_the_scene(image)
-        with torch.inference_mode(), one_thread_an_operation():
-            try:
-                return self._extractor.extract(image, edges=edges or read, bare=True)
-            except FeatureError:
-                pass
-        return self.extract(image) if edges and not read else None  # too few to be seen are none of the track's matter
+        return self._reader.read(image, self._filter.search.reads_edges, shown=edges)
 
     def narrow(self, scene: NDArray[np.bool_]) -> None:
         """From now on pictures show the scene in a part (H, W) of the lens alone."""
-        self._whole = self._extractor = self._whole.through(scene)
-
-    def _look_for_the_scene(self, image: NDArray[np.uint8]) -> None:
-        """Leave out what never changes in the first pictures: a narrower mask, burnt-in text. The last look counts."""
-        looked = self._still.count
-        if looked < _LOOKED_AT[-1] and image.shape[:2] == (self.vid.camera.height, self.vid.camera.width):
-            self._still.add(image)
-            if looked + 1 in _LOOKED_AT:
-                scene = self._still.scene()
-                self._extractor = self._whole if scene is None else self._whole.through(scene)
-
-    @staticmethod
-    def planes(features: Features) -> Tensor:
-        """What `recall` needs of features: the relief (1, h, w), and what is valid (2, h, w) where not all is."""
-        relief = features.fields[:1]
-        return torch.cat([relief, features.valid[None]]) if features.valid.numel() else relief
-
-    @staticmethod
-    def recall(planes: Tensor) -> Features:
-        """What `follow` needs, from no more than the `planes` (P, H, W) of what `extract` gave."""
-        valid = planes[1] if len(planes) > 1 else NOTHING_BEFORE
-        return Features(NO_EDGES, NO_MAPS, np.zeros((0, 0), bool), planes[:1], valid=valid)
+        self._reader.narrow(scene)
 
     def follow(
         self,
@@ -277,7 +235,7 @@ class Tracker:
         Without the ``image`` (H, W) or (H, W, 3) no picture is located anew, see `relocalization`.
         """
         start = time.perf_counter() if start is None else start
-        self._carry(t_s, odometry)
+        self._robot.hear(odometry, t_s)
         if features is None:
             self._aligned = None
             return self._bridge(t_s, start)
@@ -289,34 +247,26 @@ class Tracker:
         belief = self._smooth.belief if self._state == TRACKING else None
         if belief is None:
             return features
-        T = belief.pose() if self._step is None else belief.pose() @ self._step.T_before_now
-        return self.known.left_out(features, T, self.working_camera, self._extractor.lens_mask)
-
-    def _carry(self, t_s: float, odometry: OdometryReading | None) -> None:
-        """Take in what the robot says by now, if it says anything."""
-        self._step = None
-        if odometry is not None:
-            step = self._odometry.carried(odometry, 0.0 if self._told_s is None else t_s - self._told_s)
-            self._step = None if self._told_s is None else step
-        self._told_s = None if odometry is None else t_s
-        known = self._carried is not None and self._step is not None
-        self._carried = self._carried.then(self._step) if known else None  # type: ignore[union-attr,arg-type]
+        step = self._robot.step
+        T = belief.pose() if step is None else belief.pose() @ step.T_before_now
+        return self.known.left_out(features, T, self.working_camera, self._reader.lens_mask)
 
     def _told_places(self, t_s: float) -> tuple[Array, ...]:
         """Go on to the time of a picture: where (4, 4) a robot's word puts the camera, see `Weighed`; else nothing."""
-        ahead = self._smooth.predict(t_s, self._step)
-        return () if self._step is None or ahead is None else (ahead, *self._trail.expected())
+        step = self._robot.step
+        ahead = self._smooth.predict(t_s, step)
+        return () if step is None or ahead is None else (ahead, *self._robot.expected())
 
     def _learn_plays(self, refined: Refined, passed: float) -> None:
         """Compare the step from the picture before, as both are aligned, with the robot's word; remember the way in."""
         before, good = self._aligned, self.settings.challenger.challenge_below
-        if before is not None and self._step is not None and min(before.score, refined.score) >= good:
+        if before is not None and min(before.score, refined.score) >= good:
             mm, rad = self.settings.smoothing.noise(min(before.score, refined.score))
-            step = inverse(before.T_kidney_camera) @ refined.T_kidney_camera
-            self._odometry.learn(step, mm, rad, passed)
-        if self._step is not None and refined.score >= good:
-            self._trail.mark(refined.T_kidney_camera)
-        self._aligned, self._carried = refined, STILL
+            self._robot.learn(inverse(before.T_kidney_camera) @ refined.T_kidney_camera, mm, rad, passed)
+        if refined.score >= good:
+            self._robot.mark(refined.T_kidney_camera)
+        self._aligned = refined
+        self._robot.seen()
 
     def _follow(
         self,
@@ -329,20 +279,20 @@ class Tracker:
         """The answer to a picture that shows something."""
         passed = self.settings.own_kidney.frame_s if self._at_s is None else max(t_s - self._at_s, 1e-3)
         as_taken, features = features, self._pattern.removed(features)
-        carried, motion = self._carried, self.settings.motion
+        motion, carried = self.settings.motion, self._robot.carried
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
         prior = expected(since, sensor, self.settings.challenger, self.lumen)
         way = None if carried is None else carried.T_before_now
         told = self._told_places(t_s)
         evidence, relocated, refined = None, None, self._gone_on(features, prior, way, t_s)
         if refined is None:
-            self._found, fits = self._filter.update(self._mapped(features), since, sensor)
+            self._found, fits = self._filter.update(self._reader.mapped(features), since, sensor)
             self._fit = float(fits[self._found.weight.argmax()])
             picture = Weighed(features, self._found, fits, prior, sensor, way, told)
             refined = self._pursuit.follow(picture, anew=self._state != TRACKING or not self._is_sure)
             refined, relocated = self._relocated(picture, as_taken, image, refined)
             plain = refined.score if features is as_taken else self._refiner.score(as_taken, refined)
-            decoy = self._decoy.score(self._mirrored(as_taken), t_s) if self._test.in_doubt else None
+            decoy = self._decoy.score(self._reader.mirrored(as_taken), t_s) if self._test.in_doubt else None
             evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s, relocated is not None)
         found, fit = self._found, self._fit
         assert found is not None
@@ -378,12 +328,8 @@ class Tracker:
         observed = observed_calyx(found.T_kidney_camera, kidney, self.lumen)
         evidence = track_evidence(found, observed, calyx, T, score, kidney.scale)
         probability = self.settings.certainty.set_probability
-        errors = self._weights.position if self._step is None else self._weights.position_told
+        errors = self._weights.position if self._robot.step is None else self._weights.position_told
         return track_certainty(evidence, self._weights, errors, probability, kidney.scale), float(evidence.share[calyx])
-
-    def _mapped(self, features: Features) -> Features:
-        """Features with the maps that the views are searched by."""
-        return features if features.maps.numel() else self._extractor.with_relief(features, features.fields[0])
 
     def _relocated(
         self, picture: Weighed, as_taken: Features, image: NDArray[np.uint8] | None, refined: Refined
@@ -421,11 +367,6 @@ class Tracker:
         if refined is not None:
             self._found = self._found.carried(inverse(before) @ refined.T_kidney_camera, self.lumen)
         return refined
-
-    def _mirrored(self, as_taken: Features) -> Features:
-        """What the decoy needs of a picture."""
-        planes = mirrored(self.planes(as_taken), self.working_camera)
-        return self._extractor.with_relief(self.recall(planes), planes[0])
 
     def _judge(
         self, picture: Weighed, T: Array, score: float, decoy: float | None, t_s: float, relocated: bool
@@ -475,19 +416,20 @@ class Tracker:
 
     def _bridge(self, t_s: float, start: float) -> Tracked:
         """The answer to a picture that shows nothing: where motion leads, for a while."""
-        blind = t_s - self._seen_s > self.settings.filter.bridge_s and self._carried is None
+        blind = t_s - self._seen_s > self.settings.filter.bridge_s and self._robot.carried is None
         if self._state == TRACKING and blind:
             self._state = SEARCHING
             self._smooth.reset()
-        T = self._smooth.predict(t_s, self._step) if self._state == TRACKING else None
+        T = self._smooth.predict(t_s, self._robot.step) if self._state == TRACKING else None
         if T is None:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
         confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.filter.bridge_s) / (1 + np.exp(-self._test.trust))
         away = t_s - self._seen_s
         mm, deg = self.settings.filter.drift_mm_s * away, self.settings.motion.turn_deg_s * away
-        if self._carried is not None:
-            mm, deg = self._carried.sd_mm, float(np.degrees(self._carried.sd_rad))
+        carried = self._robot.carried
+        if carried is not None:
+            mm, deg = carried.sd_mm, float(np.degrees(carried.sd_rad))
         sure = None if self._sure is None else self._sure.later(mm, deg).of(calyx)
         state = TRACKING if sure is None else self.state_at(sure)
         spent = time.perf_counter() - start

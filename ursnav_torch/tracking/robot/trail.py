@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.kidney import LumenDistance
-from ursnav_torch.tracking.odometry import Odometry
+from ursnav_torch.tracking.robot.odometry import Odometry
 
 Array = NDArray[np.float64]
 #: Marks lie so far apart along the shaft, and a tip's middle keeps so far off walls (half of a thin scope's diameter,

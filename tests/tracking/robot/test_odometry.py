@@ -8,7 +8,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import inverse, look_along, transform_from
 from ursnav_torch.kinematics import Segment
 from ursnav_torch.scaling import scaled
-from ursnav_torch.tracking.odometry import STILL, Carried, Odometry, OdometryReading, OdometrySettings, PlayBank
+from ursnav_torch.tracking.robot.odometry import STILL, Carried, Odometry, OdometryReading, OdometrySettings, PlayBank
 from ursnav_torch.tracking.smooth import PoseFilter
 
 SEGMENT = Segment()

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 
 from ursnav_torch.geometry import Array, inverse
 from ursnav_torch.kinematics import Segment
-from ursnav_torch.tracking.odometry import Odometry, OdometryReading, OdometrySettings
-from ursnav_torch.tracking.trail import ShaftTrail
+from ursnav_torch.tracking.robot.odometry import Odometry, OdometryReading, OdometrySettings
+from ursnav_torch.tracking.robot.trail import ShaftTrail
 
 SEGMENT = Segment()
 NO_PLAY = OdometrySettings(insertion_plays_mm=(0.0,), bend_plays_deg=(0.0,))
