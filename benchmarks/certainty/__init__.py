@@ -11,9 +11,9 @@ from, and of every kind once with that kind left out. What is stored is learned 
 flight through each phantom does the same for tracks.
 What was known of each picture is kept in ``work``, so that another fit takes seconds; after a change of settings, code
 or weights that it came from it is asked for anew. Other arguments: ``phantoms=12 pictures=36`` (of a kind)
-``flight=80`` (pictures of a flight; with 0 the package's tracks stay as they are, and their position, which `benchmarks.flights`
-learns, stays in any case) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95`` ``learn=false`` (judge what the
-package knows) ``out=FILE.json``.
+``flight=80`` (pictures of a flight; with 0 the package's tracks stay as they are, and their position, which
+`benchmarks.flights` learns, stays in any case) ``views=120`` (a calyx) ``risk=0.01`` ``probability=0.95``
+``learn=false`` (judge what the package knows) ``out=FILE.json``.
 
 Tried before and left, on six phantoms: squares of the numbers make confidence likelier (0.287 against 0.299 nats) and
 the first wrong answers surer; a threshold proven on the presets alone is 0.94, not 0.986, and 4 % of what it accepts
