@@ -175,7 +175,7 @@ class Tracker:
         """Forget everything: the scope may be anywhere."""
         self._smooth.reset()
         self._robot.reset()
-        self._aligned: Refined | None = None  # that picture's pose
+        self._aligned: Refined | None = None  # the pose in the last picture, where that showed something
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
         self._looked_s: float | None = None  # when a picture was last weighed against all views
