@@ -66,13 +66,10 @@ def test_a_robot_that_falls_silent_carries_nothing_on(robot: DeadReckoning) -> N
     assert robot.carried is None, "no picture has shown yet where it went on from"
 
 
-def test_pictures_teach_plays_and_the_way_in_only_beside_a_word(robot: DeadReckoning) -> None:
+def test_pictures_teach_plays_and_the_way_in() -> None:
     robot = DeadReckoning(OdometrySettings(), OpenRoom())  # type: ignore[arg-type]
     robot.hear(OdometryReading(1.0), 0.0)
     before = robot.slider_play_mm
-    robot.learn(straight(0.0), 0.1, 0.01, 0.1)
-    robot.mark(straight(0.0))
-    assert robot.slider_play_mm == before
     for i in range(1, 9):
         robot.hear(OdometryReading(1.0 + 0.5 * i), 0.1 * i)
         robot.learn(straight(0.5), 0.1, 0.01, 0.1)
@@ -84,3 +81,22 @@ def test_pictures_teach_plays_and_the_way_in_only_beside_a_word(robot: DeadRecko
     robot.reset()
     robot.hear(OdometryReading(1.0), 1.0)
     assert robot.slider_play_mm == before and not robot.expected() and robot.carried is None
+
+
+def test_the_first_word_is_no_way_in(robot: DeadReckoning) -> None:
+    """How the shaft came to stand there nobody saw."""
+    robot.hear(OdometryReading(5.0), 0.0)
+    robot.mark(straight(0.0))
+    robot.hear(OdometryReading(2.0), 0.1)
+    assert not robot.expected()
+
+
+def test_a_step_that_was_told_before_silence_is_compared_with_no_later_picture() -> None:
+    robot = DeadReckoning(OdometrySettings(), OpenRoom())  # type: ignore[arg-type]
+    for i in range(2):
+        robot.hear(OdometryReading(float(i)), 0.1 * i)
+    before = robot.slider_play_mm
+    robot.hear(None, 0.2)
+    robot.learn(straight(1.0), 0.1, 0.01, 0.1)
+    robot.hear(OdometryReading(1.0), 0.3)
+    assert robot.slider_play_mm == before
