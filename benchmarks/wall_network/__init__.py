@@ -2,9 +2,10 @@
 
 It learns from simulated pictures of phantoms alone, most of them of the preset `WIDE`; phantoms with other seeds are
 kept back. Arguments, each ``key=value``: ``work=DIR`` (keeps what was drawn; the same call goes on from there),
-``phantoms=32``, ``kept_back=2``, ``pictures=120000`` (samples of the training), ``seed=0``, ``threads=2`` (the same
-seed and threads give the same weights), ``workers=2`` (processes that draw), ``weights=FILE`` (the package's own
-when empty), ``out=FILE.json``.
+``phantoms=32``, ``kept_back=2``, ``pictures=120000`` (samples of the training), ``rate=0.003`` (of learning, at most),
+``seed=0``, ``threads=2`` (the same seed and threads give the same weights), ``workers=2`` (processes that draw),
+``start=FILE`` (weights to go on from, ``packaged`` for the package's own; new ones when empty), ``weights=FILE``
+(written; the package's own when empty), ``out=FILE.json``.
 """
 
 import os
@@ -15,7 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import torch
-from safetensors.torch import save
+from safetensors.torch import load, save
 
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
 from benchmarks.wall_network.pictures import lesson
@@ -25,8 +26,8 @@ from ursnav_torch.features import network as network_module
 from ursnav_torch.features.network import WEIGHTS, WallNetwork
 
 DEFAULTS = {
-    "work": "", "phantoms": 32, "kept_back": 2, "pictures": 120_000, "seed": 0, "threads": 2, "workers": 2,
-    "weights": "", "out": "",
+    "work": "", "phantoms": 32, "kept_back": 2, "pictures": 120_000, "rate": 3e-3, "seed": 0, "threads": 2,
+    "workers": 2, "start": "", "weights": "", "out": "",
 }  # fmt: skip
 #: First seeds of the phantoms learned from, and of those kept back.
 LEARNED_FROM, KEPT_BACK = 7000, 8000
@@ -41,10 +42,14 @@ def main(arguments: Sequence[str]) -> int:
     kept = range(KEPT_BACK, KEPT_BACK + settings["kept_back"])
     draw([*learned, *kept], work, settings["workers"])
     lessons, kept_back = taken(learned, work), taken(kept, work)
-    network = train(lessons, kept_back, settings["pictures"], settings["seed"], settings["threads"])
+    torch.manual_seed(settings["seed"])
+    network = WallNetwork() if not settings["start"] else stored(settings["start"])
+    network = train(
+        network, lessons, kept_back, settings["pictures"], settings["rate"], settings["seed"], settings["threads"]
+    )
     where = Path(settings["weights"] or Path(network_module.__file__).with_name(WEIGHTS))
     write_weights(network, where)
-    report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "weights", "out")})
+    report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "start", "weights", "out")})
     for name, value in validate(network, kept_back).items():
         report.add("phantoms kept back, loss", name.replace("_", " "), "of 1", [value], n=len(kept_back))
     report.add("size", "weights", "of them", [sum(p.numel() for p in network.parameters())])
@@ -75,6 +80,14 @@ def taken(seeds: Sequence[int], work: Path, crowded: bool = False) -> Batch:
         if found is not None:
             parts.append(batch_of(found))
     return join(parts)
+
+
+def stored(where: str) -> WallNetwork:
+    """The network with the weights of a file, or with the package's own for ``packaged``."""
+    network = WallNetwork()
+    path = Path(network_module.__file__).with_name(WEIGHTS) if where == "packaged" else Path(where)
+    network.load_state_dict({name: value.float() for name, value in load(path.read_bytes()).items()})
+    return network.eval()
 
 
 def write_weights(network: WallNetwork, path: Path) -> None:

@@ -15,16 +15,14 @@ The rest of the network in the package was taught with the odds as channels of i
 
 import sys
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load
 from torch import Tensor
 
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
-from benchmarks.wall_network import LEARNED_FROM, taken, write_weights
+from benchmarks.wall_network import LEARNED_FROM, stored, taken, write_weights
 from benchmarks.wall_network.targets import Batch, join
 from benchmarks.wall_network.train import BATCH, WARM_UP, foreground_losses, varied
 from ursnav_torch.features import network as network_module
@@ -67,15 +65,7 @@ def untaught(seed: int) -> WallNetwork:
     torch.manual_seed(seed)
     network = WallNetwork()
     new = {name: value.half().float() for name, value in network.before.state_dict(prefix="before.").items()}
-    network.load_state_dict(packaged_weights().state_dict() | new)
-    return network.eval()
-
-
-def packaged_weights() -> WallNetwork:
-    """The network with the package's weights, as it would be stored."""
-    network = WallNetwork()
-    data = load(resources.files("ursnav_torch.features").joinpath(WEIGHTS).read_bytes())
-    network.load_state_dict({name: value.float() for name, value in data.items()})
+    network.load_state_dict(stored("packaged").state_dict() | new)
     return network.eval()
 
 

@@ -22,8 +22,7 @@ from torch.nn import functional
 
 from benchmarks.shared.results import Report, errors_told, overrides
 from benchmarks.shared.statistics import wilson
-from benchmarks.wall_network import write_weights
-from benchmarks.wall_network.before import packaged_weights
+from benchmarks.wall_network import stored, write_weights
 from benchmarks.wall_network.pictures import PER_LENS, WIDE, faults_of, lens_of, places_in
 from ursnav_torch.features import network as network_module
 from ursnav_torch.features.foreground import may_be_large
@@ -73,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
     kept = looks(range(KEPT_BACK, KEPT_BACK + settings["kept_back"]))
     report = Report("wall_network_filled", {k: settings[k] for k in ("phantoms", "kept_back")})
     judge(report, "phantoms taught, each by what the others teach", learned, crossed(learned))
-    network = packaged_weights()
+    network = stored("packaged")
     weight = taught(learned)
     network.filled.weight.data, network.filled.bias.data = weight[None, :-1].clone(), weight[-1:].clone()
     judge(report, "phantoms kept back", kept, logits(weight, kept.mean))

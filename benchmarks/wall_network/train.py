@@ -12,11 +12,11 @@ from torch.nn import functional
 from benchmarks.wall_network.targets import Batch
 from ursnav_torch.features.network import CELL, WallNetwork, WallReading
 
-BATCH, WARM_UP, RATE, DECAY = 24, 60, 3e-3, 1e-3
+BATCH, WARM_UP, DECAY = 24, 60, 1e-3
 LARGEST_GRADIENT = 5.0
 #: Weights of the parts of `losses`.
 WEIGHT = {"relief": 1.0, "depth": 0.5, "depth edges": 1.5, "foreground": 1.0, "overlap": 0.5}
-_REPORT_EVERY = 100
+_REPORT_EVERY = 250
 Rng = np.random.Generator
 
 
@@ -83,24 +83,25 @@ def _overlap(odds: Tensor, fore: Tensor, wall: Tensor) -> Tensor:
     return (1 - (2 * both + 1) / (either + 1)).mean()
 
 
-def train(lessons: Batch, kept_back: Batch, pictures: int, seed: int, threads: int) -> WallNetwork:
-    """A network taught by ``pictures`` random picks from the lessons, each turned, mirrored and tinted anew."""
-    torch.manual_seed(seed)
+def train(
+    network: WallNetwork, lessons: Batch, kept_back: Batch, pictures: int, rate: float, seed: int, threads: int
+) -> WallNetwork:
+    """The network taught by ``pictures`` random picks from the lessons, each turned, mirrored and tinted anew."""
     torch.set_num_threads(threads)
     rng = np.random.default_rng(seed)
-    network = WallNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=DECAY)
     steps, began = pictures // BATCH, time.monotonic()
     order = np.concatenate([rng.permutation(len(lessons)) for _ in range(pictures // len(lessons) + 1)])
     for step in range(steps):
         for group in optimizer.param_groups:
-            group["lr"] = RATE * min(1, (step + 1) / WARM_UP) * (0.5 + 0.5 * np.cos(np.pi * step / steps)) + 1e-5
+            group["lr"] = rate * min(1, (step + 1) / WARM_UP) * (0.5 + 0.5 * np.cos(np.pi * step / steps)) + 1e-5
         rows = torch.from_numpy(order[step * BATCH : (step + 1) * BATCH])
         picture, rays, truth = varied(lessons[rows], rng)
         network.train()
         loss = losses(network(picture, rays), truth).total()
         optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
         optimizer.step()
         if (step + 1) % _REPORT_EVERY == 0 or step + 1 == steps:
