@@ -74,8 +74,8 @@ class WallNetwork(nn.Module):
     It works at a quarter of the picture's size: 4 x 4 px go in at once, and the relief's come out as channels (Shi et
     al., CVPR 2016), which is what makes it fast enough for a camera on one core. What lies before the wall is told
     by a branch of its own, which sees the finest channels beside the last ones, and how each pixel's hue differs from
-    the wall's: it is taught after the rest, from pictures most of which show stones and instruments, and the wall is
-    read as before. Whether a stone may fill much of a picture is told by the mean of its coarsest channels.
+    the wall's: it is taught after the rest, from pictures most of which show stones and instruments, before all of it
+    is taught on together. Whether a stone may fill much of a picture is told by the mean of its coarsest channels.
     """
 
     def __init__(self) -> None:
