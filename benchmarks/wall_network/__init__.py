@@ -5,7 +5,7 @@ kept back. Arguments, each ``key=value``: ``work=DIR`` (keeps what was drawn; th
 ``phantoms=32``, ``kept_back=2``, ``pictures=120000`` (samples of the training), ``rate=0.003`` (of learning, at most),
 ``seed=0``, ``threads=2`` (the same seed and threads give the same weights), ``workers=2`` (processes that draw),
 ``start=FILE`` (weights to go on from, ``packaged`` for the package's own; new ones when empty), ``weights=FILE``
-(written; the package's own when empty), ``out=FILE.json``.
+(written; ``packaged`` when empty), ``out=FILE.json``.
 
 The package's weights: ``phantoms=32`` from new ones, ``python -m benchmarks.wall_network.before save=true``, all of
 them on from there by ``phantoms=128 kept_back=4 pictures=144000 rate=0.002 start=packaged threads=1``, and ``python
@@ -14,7 +14,8 @@ to -1.12 for the relief and from -2.08 to -2.35 for log depth, and taught more o
 `before`). Answers gained little: 353 instead of 352 of 452 stills of four phantoms are right (``python -m
 benchmarks.causes phantoms=2 first=0``, and 12), of 56 path-traced ones 50 instead of 48. A larger share of the
 network in the relief does not help: of two phantoms' stills 576 of 648 are right with 0.3, 564 with 0.55, 553 with
-0.8 (`share`). Left: the mean of four mirrored readings, 171 instead of 174 of 221.
+0.8 (``.share phantoms=2 pictures=36 vary=learned=0.3,0.55,0.8``). Left, by code that is not kept: the mean of four
+mirrored readings, 171 instead of 174 of 221.
 """
 
 import os
@@ -38,6 +39,8 @@ DEFAULTS = {
     "work": "", "phantoms": 32, "kept_back": 2, "pictures": 120_000, "rate": 3e-3, "seed": 0, "threads": 2,
     "workers": 2, "start": "", "weights": "", "out": "",
 }  # fmt: skip
+#: The package's own weights.
+PACKAGED = Path(network_module.__file__).with_name(WEIGHTS)
 #: First seeds of the phantoms learned from, and of those kept back.
 LEARNED_FROM, KEPT_BACK = 7000, 8000
 
@@ -52,13 +55,13 @@ def main(arguments: Sequence[str]) -> int:
     draw([*learned, *kept], work, settings["workers"])
     lessons, kept_back = taken(learned, work), taken(kept, work)
     torch.manual_seed(settings["seed"])
-    network = WallNetwork() if not settings["start"] else stored(settings["start"])
+    network = stored(_file(settings["start"])) if settings["start"] else WallNetwork()
     network = train(
         network, lessons, kept_back, settings["pictures"], settings["rate"], settings["seed"], settings["threads"]
     )
-    where = Path(settings["weights"] or Path(network_module.__file__).with_name(WEIGHTS))
+    where = _file(settings["weights"] or "packaged")
     write_weights(network, where)
-    report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "start", "weights", "out")})
+    report = Report("wall_network", {k: v for k, v in settings.items() if k not in ("work", "weights", "out")})
     for name, value in validate(network, kept_back).items():
         report.add("phantoms kept back, loss", name.replace("_", " "), "of 1", [value], n=len(kept_back))
     report.add("size", "weights", "of them", [sum(p.numel() for p in network.parameters())])
@@ -91,15 +94,18 @@ def taken(seeds: Sequence[int], work: Path, crowded: bool = False) -> Batch:
     return join(parts)
 
 
-def stored(where: str) -> WallNetwork:
-    """The network with the weights of a file, or with the package's own for ``packaged``."""
+def _file(name: str) -> Path:
+    return PACKAGED if name == "packaged" else Path(name)
+
+
+def stored(path: Path = PACKAGED) -> WallNetwork:
+    """The network with the weights of a file."""
     network = WallNetwork()
-    path = Path(network_module.__file__).with_name(WEIGHTS) if where == "packaged" else Path(where)
     network.load_state_dict({name: value.float() for name, value in load(path.read_bytes()).items()})
     return network.eval()
 
 
-def write_weights(network: WallNetwork, path: Path) -> None:
+def write_weights(network: WallNetwork, path: Path = PACKAGED) -> None:
     """Weights in half precision, as safetensors, whole or not at all."""
     state = {
         name: value.half().contiguous() for name, value in network.state_dict().items() if value.is_floating_point()

@@ -28,8 +28,7 @@ from benchmarks.shared.results import Report, errors_told, overrides, work_folde
 from benchmarks.wall_network import LEARNED_FROM, stored, taken, write_weights
 from benchmarks.wall_network.targets import Batch, join
 from benchmarks.wall_network.train import BATCH, WARM_UP, foreground_losses, varied
-from ursnav_torch.features import network as network_module
-from ursnav_torch.features.network import FOREGROUND, WEIGHTS, WallNetwork
+from ursnav_torch.features.network import FOREGROUND, WallNetwork
 
 DEFAULTS = {
     "work": "", "phantoms": 12, "crowded": 7, "kept_back": 1, "pictures": 16_800, "seed": 0, "save": False, "out": "",
@@ -51,10 +50,10 @@ def main(arguments: Sequence[str]) -> int:
     report = Report("wall_network_before", {k: v for k, v in settings.items() if k not in ("work", "save", "out")})
     kept = range(CROWDED_KEPT_BACK, CROWDED_KEPT_BACK + settings["kept_back"])
     kept_back = taken(kept, work, crowded=True)
-    network = _taught(settings, work) if settings["pictures"] else stored("packaged")
+    network = _taught(settings, work) if settings["pictures"] else stored()
     judge(report, network, kept_back)
     if settings["save"]:
-        write_weights(network, Path(network_module.__file__).with_name(WEIGHTS))
+        write_weights(network)
     report.finish(settings["out"])
     return 0
 
@@ -73,7 +72,7 @@ def untaught(seed: int) -> WallNetwork:
     torch.manual_seed(seed)
     network = WallNetwork()
     new = {name: value.half().float() for name, value in network.before.state_dict(prefix="before.").items()}
-    network.load_state_dict(stored("packaged").state_dict() | new)
+    network.load_state_dict(stored().state_dict() | new)
     return network.eval()
 
 

@@ -12,7 +12,6 @@ in how many without one. Arguments, each ``key=value``: ``phantoms=4`` ``kept_ba
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -26,7 +25,7 @@ from benchmarks.wall_network import stored, write_weights
 from benchmarks.wall_network.pictures import PER_LENS, WIDE, faults_of, lens_of, places_in
 from ursnav_torch.features import network as network_module
 from ursnav_torch.features.foreground import may_be_large
-from ursnav_torch.features.network import FILLED, WEIGHTS, WallReader, has_hues, lens_rays, packaged_network
+from ursnav_torch.features.network import FILLED, WallReader, has_hues, lens_rays, packaged_network
 from ursnav_torch.kidney import make_phantom_kidney
 from ursnav_torch.rendering.sensor import STONE, Stone, simulate_labeled
 
@@ -72,12 +71,12 @@ def main(arguments: Sequence[str]) -> int:
     kept = looks(range(KEPT_BACK, KEPT_BACK + settings["kept_back"]))
     report = Report("wall_network_filled", {k: settings[k] for k in ("phantoms", "kept_back")})
     judge(report, "phantoms taught, each by what the others teach", learned, crossed(learned))
-    network = stored("packaged")
+    network = stored()
     weight = taught(learned)
     network.filled.weight.data, network.filled.bias.data = weight[None, :-1].clone(), weight[-1:].clone()
     judge(report, "phantoms kept back", kept, logits(weight, kept.mean))
     if settings["save"]:
-        write_weights(network, Path(network_module.__file__).with_name(WEIGHTS))
+        write_weights(network)
     report.finish(settings["out"])
     return 0
 

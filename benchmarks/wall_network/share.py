@@ -2,7 +2,8 @@
 
 Pictures of phantoms that the network never saw, of every kind that certainty is learned from, are located with each
 share; what is right is counted, and how far off positions are. Arguments, each ``key=value``: ``work=DIR`` (keeps the
-VIDs), ``phantoms=3`` ``views=60`` (a calyx) ``pictures=24`` (a calyx, the kinds taking turns) ``out=FILE.json``.
+VIDs), ``phantoms=3`` ``views=60`` (a calyx) ``pictures=24`` (a calyx, the kinds taking turns)
+``vary=learned=0,0.15,0.3,0.5,1`` (the shares) ``out=FILE.json``.
 """
 
 import sys
@@ -14,6 +15,7 @@ import numpy as np
 from benchmarks.certainty.population import kinds
 from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, errors_told, overrides, work_folder
+from benchmarks.shared.vary import named_values, with_value
 from ursnav_torch.errors import FeatureError
 from ursnav_torch.features import DefaultSettings
 from ursnav_torch.kidney import make_phantom_kidney
@@ -21,9 +23,8 @@ from ursnav_torch.localization import Localizer, Query, simulated_queries
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.vid import PlanSettings
 
-DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "out": ""}
+DEFAULTS = {"work": "", "phantoms": 3, "views": 60, "pictures": 24, "vary": "learned=0,0.15,0.3,0.5,1", "out": ""}
 FIRST_SEED = 1100
-SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
 #: What a picture that shows too little is off by, mm.
 _NOWHERE_MM = 100.0
 
@@ -34,7 +35,9 @@ def main(arguments: Sequence[str]) -> int:
     settings = overrides(DEFAULTS, arguments)
     work = work_folder(settings, "the phantoms' VIDs")
     report = Report("wall_network_share", {k: v for k, v in settings.items() if k not in ("work", "out")})
-    answers: dict[tuple[str, float], list[tuple[bool, float]]] = {}
+    name, values = named_values(settings["vary"])
+    choices = {value: with_value(DefaultSettings(), name, value) for value in values}
+    answers: dict[tuple[str, str], list[tuple[bool, float]]] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + settings["phantoms"]):
         plan = PlanSettings(views_per_calyx=settings["views"], passage_views=settings["views"])
         vid = phantom_vid(make_phantom_kidney(seed), plan, work / f"share_{seed}_{settings['views']}")
@@ -42,18 +45,18 @@ def main(arguments: Sequence[str]) -> int:
             plan, views_per_calyx=settings["pictures"], passage_views=0, nearest_mm=3.0, farthest_mm=11.0, tilt_deg=8.0,
             roll_deg=180.0, seed=77,
         )  # fmt: skip
-        asked = {share: Localizer(replace(vid, settings=DefaultSettings(learned=share))) for share in SHARES}
+        asked = {value: Localizer(replace(vid, settings=choice)) for value, choice in choices.items()}
         for query in simulated_queries(vid, RaycastRenderer, alike, np.random.default_rng(seed), kinds()):
-            for share, localizer in asked.items():
+            for value, localizer in asked.items():
                 answer = _answer(localizer, query)
                 for kind in (query.preset, "all kinds"):
-                    answers.setdefault((kind, share), []).append(answer)
+                    answers.setdefault((kind, value), []).append(answer)
         print(f"phantom {seed} done", file=sys.stderr, flush=True)
-    for (kind, share), own in sorted(answers.items()):
+    for (kind, value), own in sorted(answers.items()):
         right = [r for r, _ in own]
         note = f"{sum(right)}/{len(own)}"
-        report.add(f"right calyx, {kind}", f"learned={share}", "%", [100 * float(np.mean(right))], note, len(own))
-        report.add(f"position, {kind}", f"learned={share}", "mm", [mm for _, mm in own])
+        report.add(f"right calyx, {kind}", f"{name}={value}", "%", [100 * float(np.mean(right))], note, len(own))
+        report.add(f"position, {kind}", f"{name}={value}", "mm", [mm for _, mm in own])
     report.finish(settings["out"])
     return 0
 

@@ -27,11 +27,11 @@ def lessons() -> Batch:
     return Batch(picture, rays, slope.half(), rest)
 
 
-def taught(lessons: Batch, rate: float, start: WallNetwork | None = None) -> WallNetwork:
+def taught(lessons: Batch, rate: float, start: WallNetwork | None = None, batches: int = 4) -> WallNetwork:
     torch.manual_seed(3)
     threads = torch.get_num_threads()
     try:
-        return train(start or WallNetwork(), lessons, lessons, 4 * BATCH, rate, seed=1, threads=1)
+        return train(start or WallNetwork(), lessons, lessons, batches * BATCH, rate, seed=1, threads=1)
     finally:
         torch.set_num_threads(threads)
 
@@ -41,15 +41,15 @@ def test_the_same_seed_gives_the_same_weights(lessons: Batch) -> None:
     assert all(torch.equal(one[name], another[name]) for name in one)
 
 
-def test_it_learns(lessons: Batch) -> None:
-    torch.manual_seed(3)
-    before = validate(WallNetwork(), lessons)
-    assert validate(taught(lessons, 1e-3), lessons)["relief"] < before["relief"]
+def test_it_learns_by_its_weights(lessons: Batch) -> None:
+    """More than by the means and variances of its layers, which follow the pictures at any rate."""
+    resting, learned = (validate(taught(lessons, rate, batches=60), lessons)["relief"] for rate in (0.0, 3e-3))
+    assert learned < resting - 0.1
 
 
 def test_it_goes_on_from_the_weights_of_a_file(lessons: Batch, tmp_path: Path) -> None:
     write_weights(taught(lessons, 1e-3), tmp_path / "weights.safetensors")
-    start = stored(str(tmp_path / "weights.safetensors"))
+    start = stored(tmp_path / "weights.safetensors")
     kept = {name: value.clone() for name, value in start.state_dict().items()}
     gone_on = taught(lessons, 1e-9, start).state_dict()
     weights = [name for name in kept if name.endswith("weight")]
@@ -59,5 +59,5 @@ def test_it_goes_on_from_the_weights_of_a_file(lessons: Batch, tmp_path: Path) -
 def test_the_packages_own_weights_read_as_the_package_does(lessons: Batch) -> None:
     picture, rays = lessons.picture[:2].float(), lessons.rays[:2].float()
     with torch.inference_mode():
-        own, packaged = stored("packaged")(picture, rays), packaged_network()(picture, rays)
+        own, packaged = stored()(picture, rays), packaged_network()(picture, rays)
     torch.testing.assert_close(own.relief, packaged.relief, atol=1e-3, rtol=1e-3)
