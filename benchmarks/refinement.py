@@ -108,13 +108,13 @@ def basin(report: Report, vid: Vid, lumen: LumenDistance, starts: int) -> None:
         for turned in BASIN_DEG:
             alone, both, nearer = [], [], []
             for features, T in seen:
-                pushed = _pushed(T, lumen, far, turned, rng)
-                solved = pnp.pose(features.edges, _nearest_view(vid, pushed), pushed)
-                alone.append(_is_found(refiner.refine(features, [pushed]).T_kidney_camera, T))
+                start = pushed(T, lumen, far, turned, rng)
+                solved = pnp.pose(features.edges, _nearest_view(vid, start), start)
+                alone.append(_is_found(refiner.refine(features, [start]).T_kidney_camera, T))
                 both.append(alone[-1])
                 if solved is not None:
-                    nearer.append(_off_mm(solved.T_kidney_camera, T) < _off_mm(pushed, T))
-                    beside = [pushed, solved.T_kidney_camera]
+                    nearer.append(_off_mm(solved.T_kidney_camera, T) < _off_mm(start, T))
+                    beside = [start, solved.T_kidney_camera]
                     both[-1] = _is_found(refiner.refine(features, beside).T_kidney_camera, T)
             cell, note = f"{far:g} mm, {turned:g} deg off", f"ends within {FOUND_MM:g} mm and {FOUND_DEG:g} deg"
             report.add("basin, one start", cell, "%", [100 * float(np.mean(alone))], note, n=len(alone))
@@ -190,7 +190,7 @@ def _given(truth: Path) -> Iterator[Picture]:
             yield read_image(truth.parent / row["image"]), transform_from_quaternion(t, q)
 
 
-def _pushed(T: Array, lumen: LumenDistance, far_mm: float, turned_deg: float, rng: np.random.Generator) -> Array:
+def pushed(T: Array, lumen: LumenDistance, far_mm: float, turned_deg: float, rng: np.random.Generator) -> Array:
     """A pose inside the lumen about ``far_mm`` away, turned by ``turned_deg`` about a random axis."""
     away = np.linalg.norm(lumen.grid.centers_mm - T[:3, 3], axis=1)
     room = lumen.grid.radius_mm > 1.0

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ursnav_torch.alignment import align
-from ursnav_torch.alignment.align import Aligner
+from ursnav_torch.alignment.align import Aligner, Water
 from ursnav_torch.alignment.fields import AlignGrid, Fields
 from ursnav_torch.alignment.gauss_newton import correlated, normal_equations, tukey
 from ursnav_torch.alignment.light import AT_CAMERA
@@ -21,7 +21,8 @@ VIEWS = (3, 10, 20, 30, 44, 50, 57, 65)
 
 @pytest.fixture(scope="module")
 def aligner(phantom: Kidney) -> Aligner:
-    return Aligner(RayScene(phantom.mesh), AlignGrid(equidistant_camera(160.0, 250, 250), 62, DefaultSettings()))
+    grid = AlignGrid(equidistant_camera(160.0, 250, 250), 62, DefaultSettings())
+    return Aligner(RayScene(phantom.mesh), grid, Water(spread=0.4, mm=10.0))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_several_alignments_at_once_end_where_each_ends_alone(aligner: Aligner, 
     outside[:3, 3] += 500.0
     aside = [T @ transform_from(np.eye(3), np.array([x, 0.5, 0.0])) for x in (1.0, -1.0, 0.5, 0.7)]
     starts = np.stack([start, T, outside, pairs[1][2], *aside])
-    lights = AT_CAMERA + 0.1 * np.arange(len(starts))[:, None] * np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    lights = AT_CAMERA + 0.1 * np.arange(len(starts))[:, None] * np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     together = aligner.align(seen, starts, lights, light_known=light_known)
     assert together[2].score == -1 and together[2].iterations == 0
     assert len({end.iterations for end in together}) > 1, "some go on when others have ended"
@@ -116,7 +117,7 @@ def test_residuals_beyond_five_times_their_size_do_not_count() -> None:
 def test_the_prior_draws_the_light_to_where_scopes_have_it(
     aligner: Aligner, pairs, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # type: ignore[no-untyped-def]
-    start = AT_CAMERA + np.array([1.0, -0.5, 0.3, 1.0, 0.05])
+    start = AT_CAMERA + np.array([1.0, -0.5, 0.3, 1.0, 0.05, 0.0])
     monkeypatch.setattr(align, "_LIGHT_PRIOR", 5.0)
     for seen, _, aside in pairs[:3]:
         np.testing.assert_allclose(aligner.align(seen, aside[None], start)[0].light, AT_CAMERA, atol=0.15)

@@ -16,9 +16,10 @@ from ursnav_torch.camera import Camera, equidistant_camera
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import DefaultSettings, Features, ThesisSettings
 from ursnav_torch.features.flatten import LocalPlane, flatten, masked_blur
-from ursnav_torch.geometry import rotation_angle, transform_from
+from ursnav_torch.geometry import inverse, rotation_angle, transform_from
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.rendering import HeadLight, RaycastRenderer
+from ursnav_torch.rendering.sensor import LightFaults, SensorFaults, simulate
 from ursnav_torch.vid import Vid
 
 
@@ -63,15 +64,23 @@ def test_a_drawings_gray_values_are_the_headlights() -> None:
     points = rng.normal(0, 2, (500, 3)).astype(np.float32) + np.float32([0, 0, 8])
     normals = rng.normal(0, 0.4, (500, 3)) - [0, 0, 1]
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    lights = AT_CAMERA + np.array([1.0, -0.5, 0.2, 1.0, 0.1]) + np.concatenate([np.zeros((1, 5)), np.diag(STEP)])
-    gray = gray_values(points.T, normals.T, lights).T
-    for column, (x, y, z, reach, ambient) in zip(gray.T, lights, strict=True):
+    lights = AT_CAMERA + np.array([1.0, -0.5, 0.2, 1.0, 0.1, 0.0])
+    lights = lights + np.concatenate([np.zeros((1, 6)), np.diag(STEP)[:-1]])
+    gray = gray_values(points.T, normals.T, lights, 10.0).T
+    for column, (x, y, z, reach, ambient, _) in zip(gray.T, lights, strict=True):
         alone = 255 * HeadLight((x, y, z), reach_mm=reach, ambient=ambient).shade(points, normals)
         dark = (alone < 200) & (column < 200)  # elsewhere exposure may clip
         share = column[dark] / alone[dark]  # all lights share the first one's exposure
         np.testing.assert_allclose(share, np.median(share), rtol=2e-3)
     first = 255 * HeadLight(tuple(lights[0, :3]), reach_mm=lights[0, 3], ambient=lights[0, 4]).shade(points, normals)
     np.testing.assert_allclose(gray[:, 0], first, rtol=1e-3)
+
+
+def test_water_glows_the_more_the_farther_the_wall_is() -> None:
+    away = np.float32([1.0, 10.0, 60.0])
+    points, normals = np.outer([0, 0, 1], away).astype(np.float32), np.float32([[0] * 3, [0] * 3, [-1] * 3])
+    clear, murky = gray_values(points, normals, AT_CAMERA + np.outer([0, 1], [0, 0, 0, 0, 0, 0.2]), 10.0)
+    np.testing.assert_allclose(murky - clear, 51 * (1 - np.exp(-away / 10)), rtol=1e-3)
 
 
 def test_motion_says_where_a_moved_wall_point_is_seen(grid: AlignGrid) -> None:
@@ -102,6 +111,20 @@ def test_a_light_beside_the_lens_is_found_with_the_pose(fine: Vid, phantom: Kidn
     found = refiner.refine(seen, [pushed(T, np.random.default_rng(1), 0.7, 4.0)])
     assert np.linalg.norm(found.T_kidney_camera[:3, 3] - T[:3, 3]) < 0.15
     np.testing.assert_allclose(found.light[:2], [1.2, -0.6], atol=0.4)
+
+
+def test_murky_water_draws_no_pose_ahead(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    """A deep wall looks bright through it, as if it were near."""
+    renderer, murk = RaycastRenderer(phantom.mesh, fine.camera), SensorFaults(light=LightFaults(turbidity_per_mm=0.1))
+    ahead, glow = [], []
+    for view in range(0, 60, 4):
+        T = fine.T_kidney_camera[view]
+        seen = fine.extractor().extract(simulate(renderer, T, murk, np.random.default_rng(view)))
+        found = refiner.refine(seen, [pushed(T, np.random.default_rng(view), 0.5, 3.0)])
+        ahead.append((inverse(T) @ found.T_kidney_camera)[2, 3])
+        glow.append(found.light[5])
+    assert abs(np.median(ahead)) < 0.15
+    assert np.median(glow) > 0.1
 
 
 def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:

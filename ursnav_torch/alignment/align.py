@@ -2,7 +2,7 @@
 
 Lucas and Kanade's method (Baker and Matthews, IJCV 56:221, 2004) on fields that brightness does not change, with the
 mean of the drawing's and the picture's slopes (Benhimane and Malis, IROS 2004: second order without second
-derivatives), Tukey's weights, and the light found along with the pose.
+derivatives), Tukey's weights, and the light and the water's glow found along with the pose.
 """
 
 from dataclasses import dataclass, fields
@@ -24,6 +24,7 @@ _AT_ONCE = 6
 #: Fewer compared pixels than this say nothing.
 LEAST_PIXELS = 150
 _DAMPING = 1e-3
+_CLEAR = 1e-4  # least spread of the water's glow
 _LIGHT_PRIOR = 5e-4  # weight of the light's prior against one pixel
 _LARGEST_TURN = np.radians(8.0)
 _PROGRESS = 1e-3  # an alignment ends after some steps whose score is not better by this:
@@ -32,12 +33,25 @@ _CONVERGED = np.array([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3])  # mm and radians
 
 
 @dataclass(frozen=True, slots=True)
+class Water:
+    """What the water before the wall is like.
+
+    Attributes:
+        spread: of its glow, picture value (standard deviation); 0 is clear water.
+        mm: within so many two thirds of its glow come about.
+    """
+
+    spread: float
+    mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class Aligned:
     """Where an alignment ended.
 
     Attributes:
         T_kidney_camera: (4, 4).
-        light: (5,), see `align_light.AT_CAMERA`.
+        light: (6,), see `light.AT_CAMERA`.
         score: mean correlation of the fields, 1 is perfect; -1 where the drawing shows too little.
         iterations: steps taken.
         drawing: what was moved there; None before any alignment.
@@ -55,11 +69,11 @@ class Drawing:
     """The kidney drawn from one pose, at the N pixels compared; or from B poses, with B before every shape.
 
     Attributes:
-        T_kidney_camera, light: (4, 4) and (5,) it was drawn with.
+        T_kidney_camera, light: (4, 4) and (6,) it was drawn with.
         points: (3, N) wall points, camera frame.
         value: (3, N) fields.
         slope: (2, 3, N) their change per px.
-        lit: (5, 3, N) their change with the light.
+        lit: (L, 3, N) their change with the last L numbers of the light: 6, or 1 where the lamp is known.
         motion: (6, 2, N) px by which a point's image moves with the point, see `AlignGrid.motion`.
         seen: (N,) 1.0 where there is a wall.
     """
@@ -91,7 +105,7 @@ class _Ways:
 
     Attributes:
         T: (B, 4, 4) from the drawing's camera to the picture's.
-        light: (B, 5) the light's change since the drawing.
+        light: (B, 6) the light's change since the drawing.
         best_T, best_light, best_score: where the score was highest, and that.
         taken: (B,) steps taken.
     """
@@ -129,7 +143,7 @@ class _Step:
 
     Attributes:
         score: (B,) of each, -1 where too little is seen.
-        step: (B, 6 + 5) from there to a better place.
+        step: (B, 6 + 6) from there to a better place.
         possible: (B,) whether enough is seen for one.
     """
 
@@ -146,11 +160,13 @@ class Aligner:
     Args:
         scene: the lumen, kidney frame, mm; grids of several sizes may share it.
         grid: the small picture.
+        water: before the wall.
         unit_mm: length of 1 mm of anatomy: the kidney's scale.
     """
 
-    def __init__(self, scene: RayScene, grid: AlignGrid, unit_mm: float = 1.0) -> None:
-        self.grid, self._scene = grid, scene
+    def __init__(self, scene: RayScene, grid: AlignGrid, water: Water, unit_mm: float = 1.0) -> None:
+        self.grid, self._scene, self._water_mm = grid, scene, water.mm
+        self._spread = np.append(SPREAD, max(water.spread, _CLEAR))
         self._longest_step = 1.5 * unit_mm
         rays, self._inside = grid.camera.pixel_rays()
         self._rays = np.ascontiguousarray(rays[self._inside].T, np.float32)  # (3, R)
@@ -170,9 +186,9 @@ class Aligner:
         Args:
             picture: the fields.
             T_kidney_camera: (B, 4, 4) where the alignments start.
-            light: (5,) or (B, 5) in which the kidney is drawn.
+            light: (6,) or (B, 6) in which the kidney is drawn.
             iterations: steps at most.
-            light_known: keep to that light.
+            light_known: keep to that lamp; the water's glow is found all the same.
             last: no other follows, which would make good for what a step too few has left.
         """
         count = len(T_kidney_camera)
@@ -201,30 +217,29 @@ class Aligner:
         ]
 
     def score(self, picture: Fields, drawing: Drawing, T_kidney_camera: Array, light: Array) -> float:
-        """How well one drawing, moved to a pose nearby (4, 4) and a light (5,), lies on a picture."""
+        """How well one drawing, moved to a pose nearby (4, 4) and a light (6,), lies on a picture."""
         moved = inverse(T_kidney_camera) @ drawing.T_kidney_camera
         return float(self._step(picture, drawing.alone(), moved[None], (light - drawing.light)[None]).score[0])
 
     def draw(self, T_kidney_camera: Array, light: Array, light_known: bool = False) -> Drawing:
-        """The kidney from a pose (4, 4) under a light (5,), and how it would change under another."""
+        """The kidney from a pose (4, 4) under a light (6,), and how it would change under another."""
         return self._drawn(T_kidney_camera[None], np.asarray(light, float)[None], light_known).one(0)
 
     def look(self, T_kidney_camera: Array, light: Array) -> tuple[Floats, Floats]:
-        """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (5,) would have, and
+        """The relief (H, W), at the grid's size, that a picture from a pose (4, 4) under a light (6,) would have, and
         the wall's distance (H, W) in mm, inf without a wall."""
         reliefs, distances = self.looks(T_kidney_camera[None], np.asarray(light, float)[None])
         return reliefs[0], distances[0]
 
     def looks(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
-        """`look` from K poses (K, 4, 4), each under its light (K, 5): reliefs and distances (K, H, W)."""
+        """`look` from K poses (K, 4, 4), each under its light (K, 6): reliefs and distances (K, H, W)."""
         gray, distance = self._lit(T_kidney_camera, lights[:, None])
         return self.grid.relief(gray[:, 0]), distance
 
     def _drawn(self, T_kidney_camera: Array, light: Array, light_known: bool) -> Drawing:
-        """The kidney from B poses (B, 4, 4), each under its light (B, 5): one `Drawing` with B before every shape."""
-        grid, change = self.grid, np.zeros((1, len(AT_CAMERA)))
-        if not light_known:
-            change = np.concatenate([change, np.diag(STEP)])
+        """The kidney from B poses (B, 4, 4), each under its light (B, 6): one `Drawing` with B before every shape."""
+        grid, changed = self.grid, np.diag(STEP)[-1 if light_known else 0 :]
+        change = np.concatenate([np.zeros((1, len(AT_CAMERA))), changed])
         gray, distance = self._lit(T_kidney_camera, light[:, None] + change)
         value, slope = grid.of_drawings(gray)
         distance = distance.reshape(len(distance), -1).take(grid.places, 1)
@@ -232,22 +247,22 @@ class Aligner:
         distance[~seen] = 1.0
         motion = np.repeat(grid.motion[None], len(distance), 0)
         motion[:, :3] /= distance[:, None, None]
-        lit = (value[:, 1:] - value[:, :1]) / STEP.astype(np.float32)[: value.shape[1] - 1, None, None]
+        lit = (value[:, 1:] - value[:, :1]) / STEP.astype(np.float32)[-len(changed) :, None, None]
         points = grid.rays * distance[:, None]
         return Drawing(T_kidney_camera, light, points, value[:, 0], slope, lit, motion, seen.astype(np.float32))
 
     def _lit(self, T_kidney_camera: Array, lights: Array) -> tuple[Floats, Floats]:
-        """Gray values (B, M, H, W) from B poses under M lights each (B, M, 5), and the wall's distance (B, H, W), inf
+        """Gray values (B, M, H, W) from B poses under M lights each (B, M, 6), and the wall's distance (B, H, W), inf
         without a wall."""
         depth, normals = self._wall(T_kidney_camera)
         count, rays = depth.shape
         points, hit = self._rays * depth[:, None], np.isfinite(depth)
         if hit.all():
-            shaded = gray_values(points, normals, lights)
+            shaded = gray_values(points, normals, lights, self._water_mm)
         else:
             shaded = np.zeros((count, lights.shape[1], rays), np.float32)
             for b, wall in enumerate(hit):
-                shaded[b][:, wall] = gray_values(points[b][:, wall], normals[b][:, wall], lights[b])
+                shaded[b][:, wall] = gray_values(points[b][:, wall], normals[b][:, wall], lights[b], self._water_mm)
         distance = np.full((count, *self._inside.shape), np.inf, np.float32)
         distance[:, self._inside] = depth
         gray = np.zeros((count, lights.shape[1], *self._inside.shape), np.float32)
@@ -280,7 +295,7 @@ class Aligner:
         return depths.reshape(count, rays), -R.swapaxes(1, 2) @ facing.T.reshape(3, count, rays).swapaxes(0, 1)
 
     def _step(self, picture: Fields, drawing: Drawing, T_picture_drawing: Array, light: Array) -> _Step:
-        """What B drawings find where they lie on a picture when moved (B, 4, 4), and lit otherwise by (B, 5)."""
+        """What B drawings find where they lie on a picture when moved (B, 4, 4), and lit otherwise by (B, 6)."""
         T, pixels = T_picture_drawing.astype(np.float32), drawing.seen.shape[1]
         points = T[:, :3, :3] @ drawing.points
         points += T[:, :3, 3:]
@@ -289,8 +304,8 @@ class Aligner:
         good = self.grid.sample(picture, self.grid.camera.pixels(points.transpose(1, 0, 2)), rows[:, : 3 * FIELDS])
         good *= drawing.seen
         rows[:, 3 * FIELDS : -1], rows[:, -1] = drawing.value, 1
-        if drawing.lit.shape[1]:
-            rows[:, 3 * FIELDS : -1] += np.einsum("bl,blcn->bcn", light.astype(np.float32), drawing.lit)
+        changed = light[:, -drawing.lit.shape[1] :].astype(np.float32)
+        rows[:, 3 * FIELDS : -1] += np.einsum("bl,blcn->bcn", changed, drawing.lit)
         fields = rows[:, 2 * FIELDS :]
         count, correlation, a, b, c = correlated(fields, good)
         residual = fields[:, :FIELDS] * a
@@ -306,22 +321,22 @@ class Aligner:
         return _Step(np.where(enough, correlation.sum(1) / FIELDS, -1.0), step, enough)
 
     def _solved(self, normal: Array, slant: Array, count: Floats, light: Array) -> Array:
-        """The steps (B, 6 + 5) that normal equations (B, 6 + L, 6 + L) and (B, 6 + L) ask for, L 5 or 0, from lights
-        (B, 5)."""
-        size = slant.shape[1]
+        """The steps (B, 6 + 6) that normal equations (B, 6 + L, 6 + L) and (B, 6 + L) ask for, see `Drawing.lit`, from
+        lights (B, 6)."""
+        free = slice(6 - slant.shape[1], None)  # of the light's numbers the last L
         diagonal = np.einsum("bii->bi", normal)  # a view: what is written there is written to the matrices
         diagonal *= 1 + _DAMPING
         diagonal += 1e-9
         step = np.zeros((len(slant), 6 + len(AT_CAMERA)))
-        if size > 6:
-            prior = _LIGHT_PRIOR * count[:, None] / SPREAD**2
-            diagonal[:, 6:] += prior
-            slant[:, 6:] += prior * (light - AT_CAMERA)
-        step[:, :size] = -np.linalg.solve(normal, slant[..., None])[..., 0]
+        prior = _LIGHT_PRIOR * count[:, None] / self._spread[free] ** 2
+        diagonal[:, 6:] += prior
+        slant[:, 6:] += prior * (light - AT_CAMERA)[:, free]
+        solved = -np.linalg.solve(normal, slant[..., None])[..., 0]
+        step[:, :6], step[:, free] = solved[:, :6], solved[:, 6:]
         return self._limited(step)
 
     def _limited(self, step: Array) -> Array:
-        """Steps (..., 6 + 5) shortened to what one linearization can be trusted with."""
+        """Steps (..., 6 + 6) shortened to what one linearization can be trusted with."""
         square = np.square(step)
         far, turned = square[..., :3].sum(-1) / self._longest_step**2, square[..., 3:6].sum(-1) / _LARGEST_TURN**2
         return np.asarray(step / np.sqrt(np.maximum(np.maximum(far, turned), 1.0))[..., None])

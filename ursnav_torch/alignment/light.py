@@ -1,8 +1,10 @@
-"""The scope's light as far as alignment must know it: where the LED sits shifts every shaded flank.
+"""The light as far as alignment must know it: where the LED sits, and how much of it the water gives back.
 
-Drawn with its light in the lens, a wall that is lit from beside it fits best from a pose a little off. So the light is
-found along with the pose, held by a prior. The gain is small once gradients are aligned too, and largest for an LED
-well off the axis.
+Drawn with its light in the lens, a wall that is lit from beside it fits best from a pose a little off; there the gain
+is small once gradients are aligned too, and largest for an LED well off the axis. Murky water gives light back, the
+more the farther the wall behind it is (backscatter: McGlamery, SPIE 208:221, 1980): a deep calyx looks as bright as
+the wall around it or brighter, and drawn dark it fits best from too far ahead. So both are found along with the pose,
+held by a prior.
 """
 
 import numpy as np
@@ -13,16 +15,17 @@ from ursnav_torch.rendering import HeadLight, percentile
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-#: Offset x, y, z in mm in the camera frame, reach in mm, ambient share: as the VID's views are lit.
-AT_CAMERA: Array = np.array([0.0, 0.0, 0.0, 4.0, 0.02])
+#: Offset x, y, z in mm in the camera frame, reach in mm, ambient share: as the VID's views are lit; and last, of the
+#: water and not of the lamp, its glow before a wall far away, picture value.
+AT_CAMERA: Array = np.array([0.0, 0.0, 0.0, 4.0, 0.02, 0.0])
 #: How far scopes are from that (standard deviations).
 SPREAD: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.06])
 #: Steps by which drawings are compared to see what each number does to a picture.
-STEP: Array = np.array([0.3, 0.3, 0.3, 0.5, 0.03])
+STEP: Array = np.array([0.3, 0.3, 0.3, 0.5, 0.03, 0.1])
 #: Largest change while one drawing is aligned.
-MOST: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.1])
-_LOW: Array = np.array([-4.0, -4.0, -4.0, 1.0, 0.0])
-_HIGH: Array = np.array([4.0, 4.0, 4.0, 10.0, 0.4])
+MOST: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.1, 0.5])
+_LOW: Array = np.array([-4.0, -4.0, -4.0, 1.0, 0.0, 0.0])
+_HIGH: Array = np.array([4.0, 4.0, 4.0, 10.0, 0.4, 2.0])
 _DEFAULT = HeadLight()
 _TELLING = 0.7  # alignments of this score tell the light
 _ENOUGH, _KEPT = 5, 15  # so many make it known, and so many of the last are kept
@@ -36,7 +39,7 @@ class LampState:
     one, and a track that slips takes the light along.
 
     Attributes:
-        value: (5,), see `AT_CAMERA`: the median of what was found; None before the first.
+        value: (6,), see `AT_CAMERA`: the median of what was found; None before the first.
     """
 
     def __init__(self) -> None:
@@ -50,7 +53,7 @@ class LampState:
         return len(self._found) >= _ENOUGH and self._since < _AGAIN
 
     def learn(self, light: Array, score: float) -> None:
-        """Take in the light (5,) that a picture was aligned with, and how well it was."""
+        """Take in the light (6,) that a picture was aligned with, and how well it was."""
         if self.known:
             self._since += score >= _TELLING
         elif score >= _TELLING:
@@ -59,20 +62,23 @@ class LampState:
 
 
 def within_limits(light: Array) -> Array:
-    """The nearest light (5,) that a scope can have."""
+    """The nearest light (6,) that there can be."""
     return np.clip(light, _LOW, _HIGH)
 
 
-def gray_values(points_mm: Floats, normals: Floats, lights: Array) -> Floats:
+def gray_values(points_mm: Floats, normals: Floats, lights: Array, water_mm: float) -> Floats:
     """Gray values (..., M, N), 0 to 255, of wall points (..., 3, N) with normals (..., 3, N), camera frame, under M
-    lights (..., M, 5).
+    lights (..., M, 6).
 
-    `HeadLight.shade` for all lights at once; the first light sets the exposure of all.
+    `HeadLight.shade` for all lights at once, and the water's glow, of which two thirds come about within ``water_mm``;
+    the first light sets the exposure of all.
     """
     if not points_mm.shape[-1]:
         return np.zeros((*lights.shape[:-1], 0), np.float32)
     offset, reach, ambient = lights[..., :3].astype(np.float32), lights[..., 3, None], lights[..., 4, None]
-    square = _dot(points_mm, points_mm) - 2 * offset @ points_mm + np.square(offset).sum(-1)[..., None]
+    glow = lights[..., 5, None].astype(np.float32)
+    away = _dot(points_mm, points_mm)
+    square = away - 2 * offset @ points_mm + np.square(offset).sum(-1)[..., None]
     radiance = offset @ normals - _dot(points_mm, normals)
     radiance /= np.sqrt(np.maximum(square, np.float32(1e-6)))
     np.clip(radiance, 0, 1, out=radiance)
@@ -83,6 +89,7 @@ def gray_values(points_mm: Floats, normals: Floats, lights: Array) -> Floats:
     gray = np.power(radiance, np.float32(1 / _DEFAULT.gamma), out=radiance)
     gray *= np.float32(_DEFAULT.exposure_level)
     np.clip(gray, 0, 1, out=gray)
+    gray += glow * (1 - np.exp(np.sqrt(away) / np.float32(-water_mm)))
     gray *= 255
     return gray
 

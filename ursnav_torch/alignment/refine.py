@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ursnav_torch.alignment.align import Aligned, Aligner, Drawing
+from ursnav_torch.alignment.align import Aligned, Aligner, Drawing, Water
 from ursnav_torch.alignment.fields import AlignGrid, Floats
 from ursnav_torch.alignment.light import AT_CAMERA
 from ursnav_torch.alignment.verification import Verifier
@@ -45,6 +45,8 @@ class RefinementSettings:
         clearance_mm: the camera stays this far from the wall (times the kidney's scale).
         verify: whether hypotheses are ranked by a network that compares them with the picture, see
             `alignment.verification`, where the picture was read; else by the score alone.
+        water_spread: how far the glow of the water before the wall is from none, picture value (standard deviation).
+        water_mm: within so many mm two thirds of it come about.
     """
 
     hypotheses: int = 6
@@ -56,16 +58,19 @@ class RefinementSettings:
     at_first: int = 3
     enough: float = 0.7
     verify: bool = True
+    water_spread: float = 0.4
+    water_mm: float = 10.0
 
     def __post_init__(self) -> None:
         sizes, counts = (
             (self.coarse_px, self.fine_px),
             (self.hypotheses, self.at_first, self.iterations, self.fine_rounds),
         )
-        if min(counts) < 1 or min(sizes) < 24 or not self.clearance_mm >= 0:
+        lengths_fit = self.clearance_mm >= 0 and self.water_spread >= 0 and self.water_mm > 0
+        if min(counts) < 1 or min(sizes) < 24 or not lengths_fit:
             raise InputError(
-                "Refinement needs hypotheses, at_first, iterations and fine_rounds >= 1, coarse_px, fine_px >= 24 and "
-                f"clearance_mm >= 0; got {self}."
+                "Refinement needs hypotheses, at_first, iterations and fine_rounds >= 1, coarse_px, fine_px >= 24, "
+                f"clearance_mm, water_spread >= 0 and water_mm > 0; got {self}."
             )
 
 
@@ -74,8 +79,8 @@ class Expectation:
     """What is known before a picture is looked at.
 
     Attributes:
-        light: (5,) where the light was found before, if it was.
-        light_known: keep to that light.
+        light: (6,) where the light was found before, if it was.
+        light_known: keep to that lamp; the water's glow is found all the same.
         prior: added to the scores (K,) of poses (K, 4, 4) where they are ranked; none when None.
         same_mm, same_deg: of hypotheses that end within both of each other the first round leaves the best alone.
     """
@@ -100,7 +105,7 @@ class Refined:
         score: mean correlation of picture and drawing, 1 is perfect; -1 where they could not be compared.
         hypothesis: index of the candidate it came from.
         iterations: steps taken in all, over all hypotheses.
-        light: (5,) the light found, see `align_light.AT_CAMERA`; a start for the next picture of the same scope.
+        light: (6,) the light found, see `light.AT_CAMERA`; a start for the next picture of the same scope.
         drawing: the kidney drawn close to that pose, at the finer size.
         T_start: (4, 4) the candidate that it came from.
         tried: (H, 4, 4) every hypothesis after the coarse round, best first; ``tried_scores`` (H,) theirs, on the
@@ -144,9 +149,9 @@ class Refiner:
         self.settings = settings or RefinementSettings()
         self._lumen = vid.lumen
         self._clearance = scaled(self.settings, vid.kidney.scale).clearance_mm
-        scene = RayScene(vid.kidney.mesh)
+        scene, water = RayScene(vid.kidney.mesh), Water(self.settings.water_spread, self.settings.water_mm)
         self._coarsest, self.finest = (
-            Aligner(scene, AlignGrid(vid.camera, size, vid.settings), vid.kidney.scale)
+            Aligner(scene, AlignGrid(vid.camera, size, vid.settings), water, vid.kidney.scale)
             for size in (self.settings.coarse_px, self.settings.fine_px)
         )
         self._verifier = Verifier(self.finest, vid.kidney.scale) if self.settings.verify else None
