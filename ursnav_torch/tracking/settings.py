@@ -135,9 +135,9 @@ class OwnKidneySettings:
         doubt_below: the mirrored picture is asked while the sum is below this, so that a settled track costs no more.
         sensor_gate_sd: a sensor's reading that the pose meets within so many standard deviations speaks for this
             kidney; the alignment's own noise is among them.
-        relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds: 2 and 3 leave the two
-            choosing flights in whose pictures the right kidney is doubted most a place in 60 %, 1 in 46 %, in a first
-            form (`benchmarks.flights phantoms=16 half=choosing only=38_ vary=own_kidney.relocated_llr=1,3`, and 43_).
+        relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds. At 1, 1.5 and 2 there are 0,
+            0.3 and 2.9 % of the choosing flights' pictures believed in another's VID (`benchmarks.flights half=choosing
+            other=true vary=own_kidney.relocated_llr=1,1.5`), and at 1 and 2 as many in their own (without ``other``).
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
         accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
             given up. At 2, as much as one picture may count, a place is found a picture or two sooner than at 3, and as
@@ -155,7 +155,7 @@ class OwnKidneySettings:
     doubt_weights: tuple[float, float] = (3.4, -8.0)
     doubt_below: float = 3.0
     sensor_gate_sd: float = 3.0
-    relocated_llr: float = 2.0
+    relocated_llr: float = 1.0
     max_llr_for: float = 2.0
     max_llr_against: float = 1.0
     accept_above: float = 2.0
