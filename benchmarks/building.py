@@ -46,9 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     report.add("building", "greatest resident memory of the process that joins", "GiB", [memory], n=1)
     if views < LARGE:
-        hours, gigabytes = LARGE * per_view / 3600, megabytes / views * LARGE / 1000
-        report.add("reckoned for 100,000 views", "time at this rate", "h", [hours], n=1)
-        report.add("reckoned for 100,000 views", "on disk", "GB", [gigabytes], n=1)
+        report.add("reckoned for 100,000 views", "time at this rate", "h", [LARGE * per_view / 3600], n=1)
     report.finish(settings["out"])
     return 0
 
