@@ -19,6 +19,7 @@ from ursnav_torch.localization import LocalizationSettings
 from ursnav_torch.rendering import FlatLight, HeadLight, RaycastRenderer
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings
 from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.tracker import video_refinement
 from ursnav_torch.vid import PlanSettings
 
 FOLDER = Path(config_dir())
@@ -73,7 +74,7 @@ def test_every_choice_composes(root: str, group: str, choice: str) -> None:
         ("match", "search=default", SearchSettings()),
         ("match", "alignment=default", RefinementSettings()),
         ("track", "search=video", VIDEO_SEARCH),
-        ("track", "alignment=video", RefinementSettings(8, iterations=6, fine_rounds=1, at_first=8, verify=False)),
+        ("track", "alignment=video", video_refinement()),
         ("track", "tracking=default", TrackSettings()),
         ("navigate", "tracking=default", TrackSettings()),
         ("navigate", "exploration=default", ExplorationSettings()),

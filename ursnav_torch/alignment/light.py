@@ -27,19 +27,20 @@ MOST: Array = np.array([1.5, 1.5, 1.5, 2.0, 0.1, 0.5])
 _LOW: Array = np.array([-4.0, -4.0, -4.0, 1.0, 0.0, 0.0])
 _HIGH: Array = np.array([4.0, 4.0, 4.0, 10.0, 0.4, 2.0])
 _DEFAULT = HeadLight()
-_TELLING = 0.7  # alignments of this score tell the light
+_TELLING, _TELLING_WATER = 0.7, 0.5  # alignments of these scores tell the lamp, and the water's glow
 _ENOUGH, _KEPT = 5, 15  # so many make it known, and so many of the last are kept
 _AGAIN = 4  # after so many more it is looked for again
 
 
 class LampState:
-    """The light of one scope, learned from pictures that are aligned well, and then held.
+    """The light of one scope, learned from pictures that are aligned well, and then held; the water's glow goes along.
 
-    It must not be learned from pictures that show little: there it bends until a wrong pose fits as well as the true
-    one, and a track that slips takes the light along.
+    The lamp must not be learned from pictures that show little: there it bends until a wrong pose fits as well as the
+    true one, and a track that slips takes the light along. Water changes, and where it is murkiest little is shown: its
+    glow is the last picture's.
 
     Attributes:
-        value: (6,), see `AT_CAMERA`: the median of what was found; None before the first.
+        value: (6,), see `AT_CAMERA`: the median of the lamps found, and the last glow; None before the first.
     """
 
     def __init__(self) -> None:
@@ -49,7 +50,7 @@ class LampState:
 
     @property
     def known(self) -> bool:
-        """Whether the next picture is to be aligned under this light; now and then it is looked for again."""
+        """Whether the next picture is to be aligned under this lamp; now and then it is looked for again."""
         return len(self._found) >= _ENOUGH and self._since < _AGAIN
 
     def learn(self, light: Array, score: float) -> None:
@@ -59,6 +60,8 @@ class LampState:
         elif score >= _TELLING:
             self._found = [*self._found[1 - _KEPT :], light]
             self.value, self._since = np.median(self._found, axis=0), 0
+        if self.value is not None and score >= _TELLING_WATER:
+            self.value = np.append(self.value[:-1], light[-1])
 
 
 def within_limits(light: Array) -> Array:
