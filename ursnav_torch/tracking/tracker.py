@@ -94,8 +94,9 @@ class Tracked:
 def video_refinement(starts: int = ChallengerSettings().starts) -> RefinementSettings:
     """How poses are aligned in a video, with as many starts as a track has and those of one that is looked for anew.
 
-    The water's glow is carried from picture to picture, so that it is held more: with a spread of 0.4 a decoy and wrong
-    poses fit too well in clear pictures.
+    The water's glow is carried from picture to picture, so that it is held more than a still's. Flights are followed
+    alike with a spread of 0.4 (`benchmarks.flights half=choosing vary=alignment.water_spread=0.4`), but mirrored
+    pictures of drawn tubes then fit nearly as well as the true ones.
     """
     most = starts + 3
     return RefinementSettings(most, iterations=6, fine_rounds=1, at_first=most, verify=False, water_spread=0.12)
