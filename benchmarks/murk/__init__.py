@@ -106,7 +106,3 @@ def _murky(faults: SensorFaults, rng: np.random.Generator) -> SensorFaults:
         light=replace(light, turbidity_per_mm=max(light.turbidity_per_mm, murk)),
         optics=replace(optics, veil=max(optics.veil, veil)),
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
