@@ -127,6 +127,16 @@ def test_murky_water_draws_no_pose_ahead(fine: Vid, phantom: Kidney, refiner: Re
     assert np.median(glow) > 0.1
 
 
+def test_under_a_known_lamp_the_waters_glow_is_found_alone(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
+    T = fine.T_kidney_camera[20]
+    murk = SensorFaults(light=LightFaults(turbidity_per_mm=0.1))
+    image = simulate(RaycastRenderer(phantom.mesh, fine.camera), T, murk, np.random.default_rng(0))
+    lamp = AT_CAMERA + np.array([0.5, 0.0, 0.0, 1.0, 0.02, 0.0])
+    known = refiner.refine(fine.extractor().extract(image), [T], Expectation(lamp, light_known=True))
+    np.testing.assert_array_equal(known.light[:-1], lamp[:-1])
+    assert known.light[-1] > 0.1
+
+
 def test_the_hypothesis_that_fits_wins(fine: Vid, phantom: Kidney, refiner: Refiner) -> None:
     T = fine.T_kidney_camera[3]
     near = pushed(T, np.random.default_rng(2), 0.5, 3.0)

@@ -220,5 +220,5 @@ def test_a_place_where_the_scope_was_not_driven_is_believed_by_its_own_evidence_
     leapt = int(np.argmax([a.T_aligned is not None and np.allclose(a.T_aligned, there, atol=0.7) for a in answers]))
     anew = told and well > 1
     for answer in answers[leapt : leapt + 3]:
-        assert (answer.state != TRACKING and answer.T_kidney_camera is None) == anew
+        assert (answer.state == SEARCHING and answer.T_kidney_camera is None) == anew
     assert answers[-1].state == TRACKING and answers[-1].calyx == 5

@@ -137,7 +137,8 @@ class OwnKidneySettings:
             kidney; the alignment's own noise is among them.
         relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds. At 1, 1.5 and 2 there are 0,
             0.3 and 2.9 % of the choosing flights' pictures believed in another's VID (`benchmarks.flights half=choosing
-            other=true vary=own_kidney.relocated_llr=1,1.5`), and at 1 and 2 as many in their own (without ``other``).
+            other=true vary=own_kidney.relocated_llr=1,1.5`), and at 1 and 2 as many in their own (without ``other``),
+            all before alignment found the water's glow; at 1 it is 0 % with it, too.
         max_llr_for, max_llr_against: the most that a single picture speaks for and against this kidney.
         accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
             given up. At 2, as much as one picture may count, a place is found a picture or two sooner than at 3, and as
