@@ -84,8 +84,8 @@ def test_who_gives_up_without_a_place_has_not_tried_the_calyces_it_never_headed_
     assert {visits[c].reason for c in (target, *others[2:])} == {"gave up: no place from the pictures"}
 
 
-def test_a_calyx_on_whose_way_the_place_is_lost_again_and_again_is_left(explorer, at_root):
-    seen = begin(explorer, at_root)
+def lose_again_and_again(explorer, seen, at_root):
+    """On the way to the target, until it is left."""
     target = explorer.target
     for loss in range(explorer.settings.attempts):
         assert explorer.target == target, f"left after {loss} losses"
@@ -95,8 +95,26 @@ def test_a_calyx_on_whose_way_the_place_is_lost_again_and_again_is_left(explorer
         while explorer.machine.state in (State.WITHDRAWING, State.LOOKING):
             seen = later(seen, 0.1, T_kidney_camera=at_root.T_kidney_camera)
             explorer.step(seen, HELD)
-    assert explorer.target not in (target, -1) and not explorer.finished
-    assert explorer.visits[target].reason == "the place was lost 3 times on the way there"
+    return seen
+
+
+def test_a_calyx_on_whose_way_the_place_is_lost_again_and_again_is_left_for_later(explorer, at_root):
+    seen = begin(explorer, at_root)
+    first = explorer.target
+    seen = lose_again_and_again(explorer, seen, at_root)
+    assert explorer.target not in (first, -1) and not explorer.finished
+    assert explorer.visits[first].verdict == "open" and explorer.visits[first].attempts == 1
+    for calyx, visit in enumerate(explorer.visits):
+        if calyx not in (first, explorer.target) and visit.verdict == "open":
+            explorer.leave_out(calyx, STONE)
+    second = explorer.target
+    seen = lose_again_and_again(explorer, seen, at_root)
+    assert explorer.target == first, "comes back when all others were tried"
+    seen = lose_again_and_again(explorer, seen, at_root)
+    assert explorer.visits[first].reason == "the place was lost 3 times on the way there", "and leaves it for good"
+    assert explorer.target == second
+    lose_again_and_again(explorer, seen, at_root)
+    assert explorer.finished and explorer.visits[second].reason == explorer.visits[first].reason
 
 
 def test_a_calyx_that_resists_is_not_reached_for_that_reason_and_what_was_seen_of_it_is_told(explorer, at_root):

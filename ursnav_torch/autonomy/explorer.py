@@ -91,6 +91,7 @@ class Explorer:
         self._inserted = 0.0  # when the newest pictures were taken
         self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
         self._doubts = self._hits = self._losses = 0
+        self._left: set[int] = set()  # calyces that it comes back to
         self._inspected_from_s: float | None = None
         self._weighed: Iterator[ViewPlan | None] | None = None
         self._best: ViewPlan | None = None
@@ -199,7 +200,7 @@ class Explorer:
         if not doubt and seen.seen_s > self.machine.since_s:  # by a picture of where it stands now
             self._doubts = 0
             if self.target >= 0 and self._losses >= s.attempts:
-                self._close(seen, f"the place was lost {self._losses} times on the way there")
+                self._leave_for_later(seen, f"the place was lost {self._losses} times on the way there")
             else:
                 self._go_on(seen)
         elif seen.t_s - self.machine.since_s > s.look_s:
@@ -428,6 +429,16 @@ class Explorer:
         self._choose(seen)
         if not self.finished:
             self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
+
+    def _leave_for_later(self, seen: Perception, reason: str) -> None:
+        """Come back to the target after all others, where it was not left before; else be done with it."""
+        if self.target in self._left:
+            self._close(seen, reason)
+            return
+        self._left.add(self.target)
+        self.visits[self.target].attempts += 1
+        self.target = -1
+        self._go_on(seen)
 
     def _finish(self, seen: Perception, reason: str) -> None:
         self._end(self.visits, reason)

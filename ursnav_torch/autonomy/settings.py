@@ -33,7 +33,7 @@ class AutonomySettings:
         resistance_mm: pushed this far without getting on, it meets resistance.
         back_off_mm: how far it backs off then.
         attempts: ways into a calyx that are tried before it counts as not reached; and losses of the place on the way
-            there before it is left.
+            there before it is left for later, and the second time for good.
         patience_s: an attempt that gets nowhere ends after this.
         inspect_s: a calyx whose wall is not seen after so long is left as it is.
         done_share: part of a calyx's wall, of what the scope can see of it, that must be seen; a session that explores
