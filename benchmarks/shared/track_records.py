@@ -27,13 +27,12 @@ Array = NDArray[np.float64]
 SETTINGS_GROUPS: dict[str, Any] = {f.name: f.default_factory for f in fields(TrackSettings)}
 #: And how poses are aligned in a video.
 ALIGNMENT = "alignment"
-#: Columns of `Record.told`: score of the alignment; score as taken, lead and fit of the evidence; standard deviation of
+#: Columns of `Record.told`: score of the alignment; score as taken and fit of the evidence; standard deviation of
 #: the position, spread of the hypotheses in mm and degrees, their share for the calyx; way from aligned to smoothed;
 #: score of the evidence's decoy; radius of the region that holds the position with 90 %.
 TOLD = (
     "score",
     "plain",
-    "lead",
     "fit",
     "sd_mm",
     "spread_mm",
@@ -96,7 +95,7 @@ class Record:
         T: (N, 4, 4) nan where there is none.
         calyx, true_calyx: (N,) indices, -1 for none.
         off_mm, turned_deg: (N,) errors, nan without a pose.
-        told: (N, 11) what the answers say of themselves, see `TOLD`; nan where they say nothing.
+        told: (N, 10) what the answers say of themselves, see `TOLD`; nan where they say nothing.
     """
 
     flown: Flown
@@ -160,7 +159,7 @@ def _arrays(answers: list[Tracked]) -> dict[str, NDArray[Any]]:
 def _told(answer: Tracked) -> list[float]:
     """What an answer says of itself, see `TOLD`."""
     found, sure, T, aligned = answer.evidence, answer.certainty, answer.T_kidney_camera, answer.T_aligned
-    seen = [np.nan] * 3 if found is None else [found.score, found.lead, found.fit]
+    seen = [np.nan] * 2 if found is None else [found.score, found.fit]
     known, region = [np.nan] * 4, np.nan
     if sure is not None:
         e = sure.evidence

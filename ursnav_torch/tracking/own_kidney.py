@@ -31,7 +31,6 @@ class KidneyEvidence:
     Attributes:
         score: of the refined pose, for the picture as it was taken: what was learned as the scope's pattern makes
             pictures of another kidney fit, too.
-        lead: by how much the views at that pose fit better than those anywhere else.
         fit: of the best view; where it is high there is much to be seen, and a true pose aligns well.
         decoy: score of the mirrored picture, which is asked while the kidney is in doubt; None else.
         off: standard deviations by which the pose misses the sensor's reading, None without one.
@@ -39,7 +38,6 @@ class KidneyEvidence:
     """
 
     score: float
-    lead: float
     fit: float
     decoy: float | None = None
     off: float | None = None
@@ -48,16 +46,13 @@ class KidneyEvidence:
     def log_odds(self, settings: OwnKidneySettings) -> float:
         """That the picture shows the VID's kidney, within what a single picture may count."""
         s = settings
-        constant, score, lead, fit = s.weights
-        odds = constant + score * self.score + lead * self.lead + fit * self.fit
-        if self.decoy is not None:
-            doubt, decoy = s.doubt_weights
-            odds += doubt + decoy * self.decoy
-        if self.relocated:
-            odds += s.relocated_llr
-        if self.off is not None:
-            odds += float(np.clip(s.sensor_gate_sd - self.off, -s.max_llr_against, s.max_llr_against))
-        return float(np.clip(odds, -s.max_llr_against, s.max_llr_for))
+        if self.decoy is None:
+            odds = float(np.dot(s.weights, (1.0, self.score, self.fit)))
+        else:
+            odds = float(np.dot(s.doubt_weights, (1.0, self.score, self.fit, self.decoy)))
+        odds = s.independent * (odds + s.relocated_llr * self.relocated)
+        told = 0.0 if self.off is None else float(np.clip(s.sensor_gate_sd - self.off, -s.sensor_llr, s.sensor_llr))
+        return float(np.clip(odds, -s.max_llr_against, s.max_llr_for)) + told
 
 
 class OwnKidneyTest:

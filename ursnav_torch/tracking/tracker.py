@@ -379,11 +379,8 @@ class Tracker:
         """Settle the state after a picture aligned at a pose (4, 4); scores are for the picture as it was taken."""
         seconds = self.settings.own_kidney.frame_s if self._looked_s is None else max(t_s - self._looked_s, 1e-3)
         self._looked_s = t_s
-        near = self._near(picture.found.T_kidney_camera, T)
-        worst = float(picture.fits.min())  # what was not kept fits no better
-        here, elsewhere = (float(picture.fits[at].max(initial=worst)) for at in (near, ~near))
         off = None if picture.sensor is None else float(picture.sensor.off(T[None])[0])
-        evidence = KidneyEvidence(score, here - elsewhere, max(here, elsewhere), decoy, off, relocated)
+        evidence = KidneyEvidence(score, float(picture.fits.max()), decoy, off, relocated)
         self._test.add(evidence, seconds)
         if self._test.verdict is not None:
             self._state = TRACKING if self._test.verdict else LOST

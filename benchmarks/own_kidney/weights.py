@@ -1,0 +1,47 @@
+"""The weights of evidence in the own-kidney test, by logistic regression."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ursnav_torch.tracking.settings import OwnKidneySettings
+
+Array = NDArray[np.float64]
+
+#: Of the squared weights but the constant, beside sequences that count `_EACH` pictures apiece.
+_RIDGE, _EACH = 0.01, 100.0
+
+
+def fitted(own: Sequence[Array], other: Sequence[Array], settings: OwnKidneySettings) -> OwnKidneySettings:
+    """The settings with weights that tell sequences in the right kidney's VID from those in another's.
+
+    Args:
+        own, other: evidence (N, 3) of each sequence: score, fit and decoy, see `KidneyEvidence`; rows with nan, of
+            pictures that were not asked, do not count. Both sides and all of a side's sequences count alike.
+        settings: all but the weights.
+    """
+    rows = [e[np.isfinite(e).all(1)] for e in (*own, *other)]
+    right = np.concatenate([np.full(len(e), i < len(own)) for i, e in enumerate(rows)])
+    half = (len(own) + len(other)) / 2
+    shares = [_EACH * half / (len(own) if i < len(own) else len(other)) / max(len(e), 1) for i, e in enumerate(rows)]
+    counts = np.concatenate([np.full(len(e), share) for e, share in zip(rows, shares, strict=True)])
+    basis = np.column_stack([np.ones(len(right)), np.concatenate(rows)])
+    plain, doubt = (_regression(basis[:, :size], right, counts) for size in (3, 4))
+    return replace(settings, weights=tuple(plain), doubt_weights=tuple(doubt))
+
+
+def _regression(basis: Array, right: NDArray[np.bool_], counts: Array) -> list[float]:
+    """Weights (B,) of a basis (M, B), whose first column is 1, by maximum likelihood."""
+    sign, ridge = np.where(right, 1.0, -1.0), np.full(basis.shape[1], _RIDGE)
+    ridge[0] = 0.0
+
+    def loss(w: Array) -> tuple[float, Array]:
+        z = sign * (basis @ w)
+        slope = -(sign * counts / (1 + np.exp(np.minimum(z, 500.0)))) @ basis
+        return float(counts @ np.logaddexp(0, -z) + 0.5 * ridge @ w**2), slope + ridge * w
+
+    found = minimize(loss, np.zeros(basis.shape[1]), jac=True, method="L-BFGS-B").x
+    return [round(float(w), 1) for w in found]
