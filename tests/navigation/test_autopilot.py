@@ -169,18 +169,3 @@ def test_who_looks_is_told_the_calyx_that_it_heads_for(rig, phantom, phantom_lum
         pilot.explorer.target, pilot.explorer.machine.reason = target, f"to {target}"
         pilot.read()
     assert told == [-1, 3]
-
-
-@pytest.mark.parametrize(("done", "inspected"), [(0.9, 0.9), (0.5, 0.7)])
-def test_the_session_and_the_explorer_call_the_same_share_inspected(
-    rig, phantom, phantom_lumen, lens, vid, done, inspected
-):
-    _, robot, hands, _ = rig
-    coverage = Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera)
-    guide = SimpleNamespace(coverage=coverage, limits=ScopeLimits())
-    bus = SimpleNamespace(latest=NavigationState)
-    navigator = SimpleNamespace(guide=guide, tracker=SimpleNamespace(lumen=phantom_lumen), vid=vid, bus=bus)
-    settings = AutonomySettings(done_share=done)
-    pilot = make_autopilot(navigator, hands, SimpleNamespace(robot=robot, clock=None), settings, False)
-    assert coverage.settings.inspected == pilot.explorer.settings.done_share == inspected
-    assert pilot.explorer.coverage is coverage

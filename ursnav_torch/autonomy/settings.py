@@ -36,8 +36,7 @@ class AutonomySettings:
             there before it is left for later, and the second time for good.
         patience_s: an attempt that gets nowhere ends after this.
         inspect_s: a calyx whose wall is not seen after so long is left as it is.
-        done_share: part of a calyx's wall, of what the scope can see of it, that must be seen; a session that explores
-            by itself calls no calyx inspected below it, whatever ``exploration.coverage.inspected`` says.
+        done_share: part of a calyx's wall, of what the scope can see of it, that must be seen.
         least_gain: part of it that another view must add to be worth going to.
         view_time_mm: going to a view costs the way there, and so much of way for the time that it takes.
         glare: share of a picture too bright to see anything from which on the wall is too near.

@@ -1,7 +1,7 @@
 """Which calyces were seen, and how much of each: the wall painted patch by patch from the scope's poses."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -113,7 +113,7 @@ class Coverage:
         settings: what counts as seen.
 
     Attributes:
-        settings: as given, but for what `ask_for` asks for.
+        settings: as given.
         of_kidney: the same, lengths in mm of this kidney.
     """
 
@@ -136,10 +136,6 @@ class Coverage:
             self.in_reach[:] = False
             for T in T_reachable:
                 self.in_reach[self.in_view(T)] = True
-
-    def ask_for(self, inspected: float) -> None:
-        """From now on a calyx counts as inspected from at least this share of its wall on."""
-        self.settings = replace(self.settings, inspected=max(inspected, self.settings.inspected))
 
     def add(
         self,

@@ -100,17 +100,12 @@ def make_autopilot(
 ) -> Autopilot:
     """The autopilot of a live session: it is told what the navigator knows, and tells it what it does.
 
-    What it calls inspected and what the session's page and files call so is one and the same: the stricter of
-    ``autonomy.done_share`` and ``exploration.coverage.inspected``.
-
     Raises:
         InputError: there is no robot to move.
     """
     if rig.robot is None:
         raise InputError("Autonomy moves a robot, but there is none: choose hardware/robot=..., or autonomy=none.")
     guide = navigator.guide
-    guide.coverage.ask_for(settings.done_share)
-    settings = replace(settings, done_share=guide.coverage.settings.inspected)
     explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits)
     names = {c.name: i for i, c in enumerate(navigator.vid.kidney.calyces)}
     clock: Callable[[], float] = rig.clock or time.monotonic
