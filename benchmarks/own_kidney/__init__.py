@@ -1,6 +1,6 @@
 """Whether a kidney is known from another: the test's weights, learned from flights and inspections and judged on them.
 
-    python -m benchmarks.own_kidney work=DIR             # two hours; DIR as of benchmarks.flights
+    python -m benchmarks.own_kidney work=DIR             # an hour; DIR as of benchmarks.flights
     python -m benchmarks.own_kidney work=DIR others=3    # each sequence in three other VIDs instead of one
 
 Sequences are the flights of the choosing half of `benchmarks.flights`, and inspections: the same half's phantoms

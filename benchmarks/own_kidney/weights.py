@@ -13,10 +13,15 @@ Array = NDArray[np.float64]
 
 #: Of the squared weights but the constant, beside sequences that count `_EACH` pictures apiece.
 _RIDGE, _EACH = 0.01, 100.0
+#: Log-odds of a right VID before a picture in doubt is seen: people seldom load another's. Set, not varied.
+PRIOR = 0.5
 
 
 def fitted(own: Sequence[Array], other: Sequence[Array], settings: OwnKidneySettings) -> OwnKidneySettings:
     """The settings with weights that tell sequences in the right kidney's VID from those in another's.
+
+    In doubt the mean of two regressions counts, of a free one and of one that sees the score's lead over the decoy's
+    alone: how high a right kidney's scores are was learned from drawings, and other light does not reach it.
 
     Args:
         own, other: evidence (N, 3) of each sequence: score, fit and decoy, see `KidneyEvidence`; rows with nan, of
@@ -28,9 +33,14 @@ def fitted(own: Sequence[Array], other: Sequence[Array], settings: OwnKidneySett
     half = (len(own) + len(other)) / 2
     shares = [_EACH * half / (len(own) if i < len(own) else len(other)) / max(len(e), 1) for i, e in enumerate(rows)]
     counts = np.concatenate([np.full(len(e), share) for e, share in zip(rows, shares, strict=True)])
-    basis = np.column_stack([np.ones(len(right)), np.concatenate(rows)])
-    plain, doubt = (_regression(basis[:, :size], right, counts) for size in (3, 4))
-    return replace(settings, weights=tuple(plain), doubt_weights=tuple(doubt))
+    score, fit, decoy = np.concatenate(rows).T
+    ones = np.ones(len(right))
+    plain = _regression(np.column_stack([ones, score, fit]), right, counts)
+    free = _regression(np.column_stack([ones, score, fit, decoy]), right, counts)
+    constant, lead = _regression(np.column_stack([ones, score - decoy]), right, counts)
+    doubt = np.mean([free, [constant, lead, 0.0, -lead]], axis=0)
+    doubt[0] += PRIOR
+    return replace(settings, weights=tuple(plain), doubt_weights=tuple(round(float(w), 1) for w in doubt))
 
 
 def _regression(basis: Array, right: NDArray[np.bool_], counts: Array) -> list[float]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.own_kidney import FLIGHT, INSPECTION, Seen, add_beliefs, verdicts
 from benchmarks.own_kidney.inspections import RATE_HZ, inspected
-from benchmarks.own_kidney.weights import fitted
+from benchmarks.own_kidney.weights import PRIOR, fitted
 from benchmarks.shared.flights import CHOOSING, Case
 from benchmarks.shared.results import Report
 from ursnav_torch.tracking.settings import OwnKidneySettings
@@ -21,9 +21,9 @@ def flown(own: bool, score: float, decoy: float, pictures: int = 40, kind: str =
 def test_a_wrong_kidney_that_fits_as_well_is_told_by_its_mirror_image() -> None:
     """In murky pictures a right one scores as little as a wrong one in clear ones."""
     flights = [flown(True, 0.65, 0.4), flown(False, 0.65, 0.65), flown(False, 0.4, 0.4)]
-    for decoy, right, wrong in ((-11.7, 85, 0), (0.0, 85, 40)):
+    for decoy, right, wrong in ((-17.2, 85, 0), (0.0, 85, 40)):
         report = Report("own_kidney", {})
-        settings = OwnKidneySettings(doubt_weights=(-5.3 if decoy else -10.3, 20.1, -0.7, decoy))
+        settings = OwnKidneySettings(doubt_weights=(-1.4 if decoy else -9.0, 17.2, 0.0, decoy))
         add_beliefs(report, "as tried", [(one, settings) for one in flights])
         own, _, other, given_up = report.rows
         assert own.median > right and own.note == "0 of 1 end lost"
@@ -58,13 +58,13 @@ def test_weights_are_those_that_made_the_evidence() -> None:
     evidence = np.column_stack(
         [rng.uniform(0.2, 1, 20_000), rng.uniform(0.8, 2, 20_000), rng.uniform(0.2, 0.9, 20_000)]
     )
-    odds = -6.0 + 16.0 * evidence[:, 0] - 1.0 * evidence[:, 1] - 4.0 * evidence[:, 2]
+    odds = -1.0 + 14.0 * (evidence[:, 0] - evidence[:, 2])
     own = rng.random(20_000) < 1 / (1 + np.exp(-odds))
     shares = np.mean(own), np.mean(~own)
     found = fitted([evidence[own]], [evidence[~own]], OwnKidneySettings())
-    want = np.array([-6.0 - np.log(shares[0] / shares[1]), 16.0, -1.0, -4.0])  # both sides count alike
+    want = np.array([PRIOR - 1.0 - np.log(shares[0] / shares[1]), 14.0, 0.0, -14.0])  # both sides count alike
     np.testing.assert_allclose(found.doubt_weights, want, rtol=0.2, atol=0.5)
-    assert found.weights[1] > 10 and len(found.weights) == 3
+    assert found.weights[1] > 4 and len(found.weights) == 3
 
 
 def test_sequences_count_alike_and_pictures_not_asked_do_not_count() -> None:
