@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.own_kidney.inspections import inspected
-from benchmarks.own_kidney.weights import fitted
+from benchmarks.own_kidney.weights import PRIOR, RELATIVE, fitted
 from benchmarks.shared.flights import CHOOSING, Case, Flown, flown, population, vid_for
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.track_records import TOLD, Choice, tracked
@@ -36,6 +36,8 @@ FLIGHT_VIEWS, INSPECTION_VIEWS = (60, 8.0), (150, 2.0)
 FLIGHT, INSPECTION = "flight", "inspection"
 #: Shares of the evidence that may count, and the most that a picture may speak against a kidney.
 INDEPENDENT, AGAINST = (0.2, 0.3, 0.5, 1.0), (0.2, 0.3, 0.5, 1.0)
+#: Sums from which on a kidney may be believed, and the choices of `weights.RELATIVE` and `weights.PRIOR`.
+ABOVE, RELATIVES, PRIORS = (1.0, 1.5, 2.0), (0.0, 0.5, 1.0), (0.0, 0.5, 1.0)
 _ALWAYS = (("own_kidney", "doubt_below", "99"),)  # every picture that is weighed is mirrored
 Array = NDArray[np.float64]
 
@@ -68,20 +70,37 @@ def main(arguments: list[str]) -> None:
     used = OwnKidneySettings()
     add_beliefs(report, "as set", [(one, used) for one in found])
     add_beliefs(report, "never mirrored", [(one, OwnKidneySettings(doubt_below=used.min_sum)) for one in found])
-    left_out = {kidney: _fitted([one for one in found if one.kidney != kidney]) for kidney in {s.kidney for s in found}}
     for share, against in itertools.product(INDEPENDENT, AGAINST):
-        tried = {k: replace(s, independent=share, max_llr_against=against) for k, s in left_out.items()}
         name = f"fitted to others, independent={share:g}, max_llr_against={against:g}"
-        add_beliefs(report, name, [(one, tried[one.kidney]) for one in found])
-    whole = _fitted(found)
+        add_beliefs(report, name, _left_out(found, replace(used, independent=share, max_llr_against=against)))
+    for above in ABOVE:
+        add_beliefs(
+            report, f"fitted to others, accept_above={above:g}", _left_out(found, replace(used, accept_above=above))
+        )
+    for relative, prior in itertools.product(RELATIVES, PRIORS):
+        name = f"fitted to others, relative={relative:g}, prior={prior:g}"
+        add_beliefs(report, name, _left_out(found, used, relative, prior))
+    whole = _fitted(found, used)
     for name, weights in (("weights", whole.weights), ("doubt_weights", whole.doubt_weights)):
         report.add("fitted", name, "log-odds", list(weights), note=", ".join(f"{w:g}" for w in weights))
     report.finish(settings["out"])
 
 
-def _fitted(seen: Sequence[Seen]) -> OwnKidneySettings:
+def _fitted(
+    seen: Sequence[Seen], settings: OwnKidneySettings, relative: float = RELATIVE, prior: float = PRIOR
+) -> OwnKidneySettings:
     own, other = ([one.evidence for one in seen if one.own == side] for side in (True, False))
-    return fitted(own, other, OwnKidneySettings())
+    return fitted(own, other, settings, relative, prior)
+
+
+def _left_out(
+    seen: Sequence[Seen], settings: OwnKidneySettings, relative: float = RELATIVE, prior: float = PRIOR
+) -> list[tuple[Seen, OwnKidneySettings]]:
+    """Every sequence with the settings that those of the other phantoms teach."""
+    taught = {
+        k: _fitted([s for s in seen if s.kidney != k], settings, relative, prior) for k in {s.kidney for s in seen}
+    }
+    return [(one, taught[one.kidney]) for one in seen]
 
 
 def _all_seen(settings: dict[str, Any], work: Path) -> Iterator[Seen]:

@@ -13,20 +13,28 @@ Array = NDArray[np.float64]
 
 #: Of the squared weights but the constant, beside sequences that count `_EACH` pictures apiece.
 _RIDGE, _EACH = 0.01, 100.0
-#: Log-odds of a right VID before a picture in doubt is seen: people seldom load another's. Set, not varied.
-PRIOR = 0.5
+#: Part of the evidence in doubt that is of the score's lead over the decoy's alone, and what is added to it in every
+#: picture, as people seldom load another kidney's VID.
+RELATIVE, PRIOR = 0.5, 0.5
 
 
-def fitted(own: Sequence[Array], other: Sequence[Array], settings: OwnKidneySettings) -> OwnKidneySettings:
+def fitted(
+    own: Sequence[Array],
+    other: Sequence[Array],
+    settings: OwnKidneySettings,
+    relative: float = RELATIVE,
+    prior: float = PRIOR,
+) -> OwnKidneySettings:
     """The settings with weights that tell sequences in the right kidney's VID from those in another's.
 
-    In doubt the mean of two regressions counts, of a free one and of one that sees the score's lead over the decoy's
-    alone: how high a right kidney's scores are was learned from drawings, and other light does not reach it.
+    In doubt two regressions count, a free one and one that sees the score's lead over the decoy's alone: how high a
+    right kidney's scores are was learned from drawings, and other light does not reach it.
 
     Args:
         own, other: evidence (N, 3) of each sequence: score, fit and decoy, see `KidneyEvidence`; rows with nan, of
             pictures that were not asked, do not count. Both sides and all of a side's sequences count alike.
         settings: all but the weights.
+        relative, prior: see `RELATIVE`.
     """
     rows = [e[np.isfinite(e).all(1)] for e in (*own, *other)]
     right = np.concatenate([np.full(len(e), i < len(own)) for i, e in enumerate(rows)])
@@ -38,8 +46,8 @@ def fitted(own: Sequence[Array], other: Sequence[Array], settings: OwnKidneySett
     plain = _regression(np.column_stack([ones, score, fit]), right, counts)
     free = _regression(np.column_stack([ones, score, fit, decoy]), right, counts)
     constant, lead = _regression(np.column_stack([ones, score - decoy]), right, counts)
-    doubt = np.mean([free, [constant, lead, 0.0, -lead]], axis=0)
-    doubt[0] += PRIOR
+    doubt = (1 - relative) * np.array(free) + relative * np.array([constant, lead, 0.0, -lead])
+    doubt[0] += prior
     return replace(settings, weights=tuple(plain), doubt_weights=tuple(round(float(w), 1) for w in doubt))
 
 

@@ -257,9 +257,7 @@ class Explorer:
 
     def _shown(self, calyx: int, bar: Bar) -> float:
         """Part of a calyx's wall, of what the scope can see of it, that shows from before what bars the way."""
-        own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
-        area = self.coverage.patches.area_mm2 * own
-        return float(area[self.coverage.in_view(bar.T_kidney_camera)].sum()) / max(float(area.sum()), 1e-9)
+        return self.coverage.share(calyx, self.coverage.in_view(bar.T_kidney_camera))
 
     def _retreat(self, seen: Perception, T: Array) -> Wish:
         """Back along the way that the scope came, until it can turn into the way to the target."""
@@ -414,11 +412,7 @@ class Explorer:
 
     def _share(self, calyx: int) -> float:
         """Part of a calyx's wall that was seen, of what the scope can see of it."""
-        own = (self.coverage.patches.calyx == calyx) & self.coverage.in_reach
-        area = self.coverage.patches.area_mm2
-        total = float(area[own].sum())
-        share = float(area[own & self.coverage.seen()].sum()) / total if total > 0 else 0.0
-        self.visits[calyx].share = share
+        share = self.visits[calyx].share = self.coverage.share(calyx, self.coverage.seen())
         return share
 
     def _close(self, seen: Perception, reason: str) -> None:

@@ -219,14 +219,20 @@ class Coverage:
         column, row = np.clip(((pixels + 0.5) * small / size).astype(int), 0, small - 1).T
         return np.asarray(before[row, column], bool)
 
+    def share(self, calyx: int, patches: NDArray[np.bool_] | IntArray) -> float:
+        """Part of a calyx's wall, of what the scope can see of it at all, that some patches make, by a mask (P,) or
+        their numbers; 0 where the scope can see none of it."""
+        area = self.patches.area_mm2 * ((self.patches.calyx == calyx) & self.in_reach)
+        total = float(area.sum())
+        return float(area[patches].sum()) / total if total > 0 else 0.0
+
     def calyces(self) -> list[CalyxCoverage]:
         """The verdict on every calyx."""
         seen, s, found = self.seen(), self.settings, []
         for index, calyx in enumerate(self.kidney.calyces):
-            own = self.patches.calyx == index
-            area = self.patches.area_mm2 * own
+            area = self.patches.area_mm2 * (self.patches.calyx == index)
             total, reachable = float(area.sum()), float(area[self.in_reach].sum())
-            share = float(area[self.in_reach & seen].sum()) / reachable if reachable > 0 else 0.0
+            share = self.share(index, seen)
             verdict = INSPECTED if share >= s.inspected else GLIMPSED if share >= s.glimpsed else UNSEEN
             if reachable <= 0:
                 verdict = OUT_OF_REACH
