@@ -130,22 +130,24 @@ class OwnKidneySettings:
             and in another phantom's VID (``python -m benchmarks.own_kidney work=DIR``).
         doubt_weights: the same where the picture was mirrored, too: constant, score, fit and the decoy's score. Half of
             it is what the score's lead over the decoy's says alone, as how high a right kidney's scores are was learned
-            from drawings.
+            from drawings (seen on videos that others drew; set), and 0.5 in every picture for a right VID being
+            likelier: with 1, 2.6 % of the flights' pictures are believed in another's VID, with less none.
         independent: share of this that counts, as pictures that follow each other say much the same; chosen together
             with ``max_llr_against``: of phantoms left out a right kidney's flights and inspections are believed in 99.3
             and 99.7 % of the pictures, and another's in 0 and 3.6 %. If all of it counts, and a picture may speak
-            against a kidney by 1, these are 99.7, 93.0, 0.6 and 3.9 % (printed by the same command).
+            against a kidney by 1, these are 99.7, 93.0, 0.6 and 3.9 % (all printed by the same command).
         doubt_below: the mirrored picture is asked while the sum is below this, so that a settled track costs no more.
         sensor_gate_sd, sensor_llr: a sensor's reading that the pose meets within so many standard deviations speaks for
             this kidney, and one that it misses against it, by no more than ``sensor_llr``; the alignment's own noise is
             among them.
-        relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds. At 1, 1.5 and 2 there were 0,
-            0.3 and 2.9 % of the choosing flights' pictures believed in another's VID (`benchmarks.flights half=choosing
-            other=true vary=own_kidney.relocated_llr=1,1.5`), before the weights were learned anew; with them it is
-            0 % at 1.
+        relocated_llr: log-likelihood ratio that a picture located anew, and surely, adds to what ``independent`` is a
+            share of. When all of it counted, at 1, 1.5 and 2, there were 0, 0.3 and 2.9 % of the choosing flights'
+            pictures believed in another's VID (`benchmarks.flights half=choosing other=true
+            vary=own_kidney.relocated_llr=1,1.5`); not varied since.
         max_llr_for, max_llr_against: the most that what a single picture shows speaks for and against this kidney.
         accept_above, reject_below: the sum of the log-odds from which on a track is believed, and below which it is
-            given up; the first was chosen with ``independent``.
+            given up. At 1, 1.5 and 2 a right kidney's flights are believed in 99.7, 99.3 and 98.5 % of the pictures,
+            another's inspections in 4.3, 3.6 and 3.5 % (`benchmarks.own_kidney`).
         after_leap: the sum falls to this where the track is found where a robot tells that the scope was not driven,
             nor its shaft's way leads: a picture or two short of ``accept_above``.
         max_sum, min_sum: the sum stays between them: a long good track outlasts a bad stretch.
