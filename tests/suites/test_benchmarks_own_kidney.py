@@ -92,3 +92,18 @@ def test_an_inspection_is_drawn_once_with_what_the_robot_reports(vid: Vid, tmp_p
     again = inspected(case, vid, 5, tmp_path)
     assert again.folder == seen.folder and first.stat().st_mtime_ns == drawn
     np.testing.assert_array_equal(again.flight.T_kidney_camera, seen.flight.T_kidney_camera)
+
+
+def test_in_doubt_a_share_of_the_evidence_is_the_lead_alone_and_a_right_kidney_is_likelier() -> None:
+    rng = np.random.default_rng(5)
+    own, other = (
+        [np.column_stack([rng.normal(s, 0.15, 80), rng.normal(1.2, 0.1, 80), rng.normal(0.5, 0.1, 80)])]
+        for s in (0.8, 0.5)
+    )
+    free, lead, half = (
+        np.array(fitted(own, other, OwnKidneySettings(), relative, 0.0).doubt_weights) for relative in (0.0, 1.0, 0.5)
+    )
+    assert lead[2] == 0 and lead[1] == -lead[3] > 0 and free[2] != 0
+    np.testing.assert_allclose(half, (free + lead) / 2, atol=0.06)
+    likelier = fitted(own, other, OwnKidneySettings(), 0.0, 0.7).doubt_weights
+    np.testing.assert_allclose(np.array(likelier) - free, [0.7, 0, 0, 0], atol=1e-9)
