@@ -3,17 +3,18 @@
 Pure logic: no device, no thread and no clock of its own; `Explorer.step` is called in every cycle of control.
 """
 
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.autonomy.free_space import FreeSpace
+from ursnav_torch.autonomy.inspection import Inspection
 from ursnav_torch.autonomy.neck import Bar, find_neck, find_stone
-from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
+from ursnav_torch.autonomy.next_view import ViewPlanner
 from ursnav_torch.autonomy.perception import Perception, Permission, Wish
+from ursnav_torch.autonomy.resistance import Push
 from ursnav_torch.autonomy.settings import AutonomySettings
 from ursnav_torch.autonomy.states import MOVING, State, StateMachine
 from ursnav_torch.autonomy.steering import Steering, Way
@@ -29,20 +30,10 @@ from ursnav_torch.stones import FoundStone
 
 Array = NDArray[np.float64]
 
-#: Views that are weighed in one cycle of control: each costs a cast of rays.
-_VIEWS_A_CYCLE = 2
-#: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
-_THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
-#: The shaft is all the way back from here on; weight of a new picture in how far the scope has got.
-_OUT_MM, _NEWS = 0.2, 0.25
-#: Cycles of control whose insertion is kept: longer than a picture's answer takes.
-_KEPT = 100
-#: A tip that makes less of the way that the shaft was pushed meets resistance.
-_FOLLOWS = 0.3
+#: The shaft is all the way back from here on, mm at scale 1.
+_OUT_MM = 0.2
 #: A round of looking about takes so long.
 _SWEEP_S = 6.0
-#: Getting on by less than this is none, mm at scale 1.
-_PROGRESS_MM = 0.25
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
 _DEEPER_MM = 1.0
 
@@ -70,7 +61,7 @@ class Explorer:
         limits: ScopeLimits | None = None,
         segment: Segment | None = None,
     ) -> None:
-        self.kidney, self.coverage, self.lumen = coverage.kidney, coverage, lumen
+        self.kidney, self.coverage = coverage.kidney, coverage
         self._unit = self.kidney.scale
         self.settings = s = scaled(settings or AutonomySettings(), self._unit)
         self._limits = limits or ScopeLimits()
@@ -78,7 +69,8 @@ class Explorer:
         self._space = FreeSpace(lumen)
         self._steering = Steering(self._space, segment, s)
         most_bent = np.radians(self._limits.largest_bend_deg)
-        self._planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent, s.view_time_mm)
+        planner = ViewPlanner(coverage, self._space, segment, s.clearance_mm, most_bent, s.view_time_mm)
+        self._inspection, self._push = Inspection(planner, self._steering, s), Push(s, self._unit)
         self.machine, self.target = StateMachine(), -1
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
@@ -86,17 +78,9 @@ class Explorer:
         self._way: Way | None = None  # along which the scope came; None where somebody else led it in
         self._way_back, self._lost_at = WayBack(segment, self._unit), np.zeros(3)
         self._room_mm = s.room_mm
-        self._place, self._place_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
-        self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
-        self._inserted = 0.0  # when the newest pictures were taken
-        self._best_mm, self._best_s, self._pushed_from = 0.0, 0.0, 0.0
         self._doubts = self._hits = self._losses = 0
         self._left: set[int] = set()  # calyces that it comes back to
-        self._inspected_from_s: float | None = None
-        self._weighed: Iterator[ViewPlan | None] | None = None
-        self._best: ViewPlan | None = None
-        self._view: tuple[ViewPlan, float] | None = None
-        self._held_from_s, self._blocked, self._deepest_mm = 0.0, "", 0.0
+        self._blocked, self._deepest_mm, self._backed_from = "", 0.0, 0.0
 
     @property
     def finished(self) -> bool:
@@ -121,7 +105,7 @@ class Explorer:
 
     def step(self, seen: Perception, may: Permission) -> Wish:
         """One cycle of control: what the joints shall do now. Still in every state that is not one of `MOVING`."""
-        self._insertions.append((seen.t_s, seen.insertion_mm))
+        self._push.cycle(seen)
         if seen.stones != self._space.stones:
             self._find_bars(seen.stones)
         if seen.is_known(self.settings.stale_s, self.settings.doubtful_sd_mm):
@@ -246,7 +230,7 @@ class Explorer:
             self._finish(seen, "every calyx was visited")
             return
         self.target, self._hits, self._losses, self._room_mm = order[0], 0, 0, self.settings.room_mm
-        self._inspected_from_s, self._view, self._weighed = None, None, None
+        self._inspection.reset()
         self._blocked, self._deepest_mm = "", 0.0
 
     def _leave_out_hidden(self) -> None:
@@ -281,18 +265,14 @@ class Explorer:
 
     def _begin(self, seen: Perception, T: Array) -> None:
         """Begin a way in."""
-        self._place, self._place_s, self._inserted = T[:3, 3], seen.seen_s, self._inserted_at(seen.seen_s)
-        self._best_mm, self._best_s = self._ways[self.target].place_mm(T[:3, 3]), seen.t_s
-        self._mark = T[:3, 3]
-        slack = self.settings.slack_mm if seen.slack_mm is None else seen.slack_mm
-        self._pushed_from = self._inserted + slack  # it came by pulling: the slider turns round first
+        self._push.begin(seen, T[:3, 3], self._ways[self.target].place_mm(T[:3, 3]))
         self._to(State.APPROACHING, seen, f"into calyx {self.visits[self.target].calyx}")
 
     def _approach(self, seen: Perception, T: Array) -> Wish:
         """Along the way in, until its end or something else is reached."""
         s, way, visit = self.settings, self._ways[self.target], self.visits[self.target]
-        place = self._smoothed(seen, T[:3, 3])
-        at = way.place_mm(place)
+        self._push.see(seen, T[:3, 3])
+        at = way.place_mm(self._push.place_mm)
         visit.nearest_mm = min(visit.nearest_mm, way.length_mm - at)
         if way.length_mm - at <= s.standoff_mm or self._share(self.target) >= s.done_share:
             self._look_around(seen)
@@ -302,57 +282,32 @@ class Explorer:
             self._blocked = bar.reason(visit.calyx)
             self._look_around(seen)
             return Wish()
-        if at > self._best_mm + _PROGRESS_MM * self._unit:
-            self._best_mm, self._best_s = at, seen.t_s
-        if self._resists(place, T[:3, 2]):
-            self._back_off(seen, f"meets resistance {way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}")
+        gets_on = self._push.gets_on(at, seen.t_s)
+        where = f"{way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}"
+        if self._push.resists(T[:3, 2]):
+            self._back_off(seen, f"meets resistance {where}")
             return Wish()
-        if seen.t_s - self._best_s > s.patience_s:
-            self._back_off(seen, f"does not get on {way.length_mm - at:.0f} mm before the tip of calyx {visit.calyx}")
+        if not gets_on:
+            self._back_off(seen, f"does not get on {where}")
             return Wish()
         return self._steering.advance(seen, T, way)
 
-    def _smoothed(self, seen: Perception, place_mm: Array) -> Array:
-        """The place (3,) by pictures old and new, as one alone is not sharp enough to tell resistance; and with it the
-        insertion when they were taken."""
-        if seen.seen_s != self._place_s:
-            self._place_s, self._place = seen.seen_s, self._place + _NEWS * (place_mm - self._place)
-            self._inserted += _NEWS * (self._inserted_at(seen.seen_s) - self._inserted)
-        return self._place
-
-    def _inserted_at(self, t_s: float) -> float:
-        """The insertion at a time, mm."""
-        told_s, insertion = zip(*self._insertions, strict=True)
-        return float(np.interp(t_s, told_s, insertion))
-
-    def _resists(self, place_mm: Array, axis: Array) -> bool:
-        """Whether the shaft was pushed and the tip did not follow along its axis (3,)."""
-        pushed = self._inserted - self._pushed_from
-        if pushed <= 0:  # the slider turns round, and the tip may swing
-            self._mark = place_mm
-        if pushed < self.settings.resistance_mm:
-            return False
-        followed = float((place_mm - self._mark) @ axis)
-        self._pushed_from, self._mark = self._inserted, place_mm
-        return followed < _FOLLOWS * pushed
-
     def _look_around(self, seen: Perception) -> None:
         """Begin to inspect from here, or go on with it."""
-        self._inspected_from_s = seen.t_s if self._inspected_from_s is None else self._inspected_from_s
-        self._view, self._weighed = None, None
+        self._inspection.begin(seen)
         self._to(State.INSPECTING, seen, f"looks at the wall of calyx {self.visits[self.target].calyx}")
 
     def _back_off(self, seen: Perception, reason: str) -> None:
-        self._pushed_from = seen.insertion_mm
-        deeper = self._best_mm > self._deepest_mm + _DEEPER_MM * self._unit
-        self._deepest_mm = max(self._deepest_mm, self._best_mm)
+        self._backed_from = seen.insertion_mm
+        deeper = self._push.best_mm > self._deepest_mm + _DEEPER_MM * self._unit
+        self._deepest_mm = max(self._deepest_mm, self._push.best_mm)
         self._hits = 1 if deeper else self._hits + 1
         self._to(State.BACKING_OFF, seen, reason)
 
     def _go_back(self, seen: Perception, T: Array) -> Wish:
         """A little back, farther each time; then the way in again, or another calyx."""
         s, visit = self.settings, self.visits[self.target]
-        if self._pushed_from - seen.insertion_mm < s.back_off_mm * self._hits and not self._is_out(seen):
+        if self._backed_from - seen.insertion_mm < s.back_off_mm * self._hits and not self._is_out(seen):
             return self._steering.retreat(seen, T, self._ways[self.target])
         visit.attempts += 1
         if self._hits >= s.attempts:
@@ -364,51 +319,17 @@ class Explorer:
 
     def _inspect(self, seen: Perception, T: Array) -> Wish:
         """Turn to the wall that was not seen, until enough was, or no view shows more."""
-        s = self.settings
-        if self._share(self.target) >= s.done_share:
+        s, share, begun_s = self.settings, self._share(self.target), self._inspection.begun_s
+        if share >= s.done_share:
             self._close(seen, "")
             return Wish()
-        begun = self._inspected_from_s if self._inspected_from_s is not None else seen.t_s
-        if seen.t_s - begun > s.inspect_s:
+        if begun_s is not None and seen.t_s - begun_s > s.inspect_s:
             self._close(seen, "the rest was not seen in time")
             return Wish()
-        if self._view is None:
-            self._weigh(seen, T)
-            return Wish()
-        return self._go_to_view(seen, T, *self._view)
-
-    def _go_to_view(self, seen: Perception, T: Array, plan: ViewPlan, begun_s: float) -> Wish:
-        """Take up a view and hold it."""
-        s = self.settings
-        bend, push = plan.bend_rad - seen.bend_rad, plan.insertion_mm - seen.insertion_mm
-        if np.hypot(*bend) >= _THERE_RAD or abs(push) >= _THERE_MM * self._unit:
-            self._held_from_s = seen.t_s
-        if seen.t_s - self._held_from_s > _HOLD_S or seen.t_s - begun_s > _LONGEST_VIEW_S:
-            self._view = None
-            return Wish()
-        speed = float(np.clip(2.0 * push, -s.advance_mm_s, s.advance_mm_s)) * self._steering.sureness(seen)
-        if push > 0:
-            here = float(self.lumen.clearance_mm(T[None, :3, 3])[0])
-            speed *= self._steering.freedom(T, min(s.clearance_mm, 0.6 * here))
-        return Wish(s.turn_per_s * bend, speed)
-
-    def _weigh(self, seen: Perception, T: Array) -> None:
-        """Weigh a few more views; when all were, go to the best or be done with this calyx."""
-        if self._weighed is None:
-            missing = self.settings.done_share - self._share(self.target)
-            least = min(self.settings.least_gain, 0.5 * missing)  # near the end, two small steps are worth it, too
-            self._weighed = self._planner.candidates(seen, T, self.target, least)
-            self._best = None
-        for _ in range(_VIEWS_A_CYCLE):
-            try:
-                self._best = next(self._weighed)
-            except StopIteration:
-                self._weighed = None
-                if self._best is None:
-                    self._close(seen, "no view from here shows more of it")
-                else:
-                    self._view, self._held_from_s = (self._best, seen.t_s), seen.t_s
-                return
+        wish = self._inspection.step(seen, T, self.target, s.done_share - share)
+        if wish is None:
+            self._close(seen, "no view from here shows more of it")
+        return wish or Wish()
 
     def _share(self, calyx: int) -> float:
         """Part of a calyx's wall that was seen, of what the scope can see of it."""

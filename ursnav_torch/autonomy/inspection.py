@@ -1,0 +1,85 @@
+"""The inspection of one calyx: next best views, one after another, until enough was seen or none shows more."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.autonomy.next_view import ViewPlan, ViewPlanner
+from ursnav_torch.autonomy.perception import Perception, Wish
+from ursnav_torch.autonomy.settings import AutonomySettings
+from ursnav_torch.autonomy.steering import Steering
+
+Array = NDArray[np.float64]
+
+#: Views that are weighed in one cycle of control: each costs a cast of rays.
+_VIEWS_A_CYCLE = 2
+#: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
+_THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
+
+
+class Inspection:
+    """Takes up views of one calyx after another.
+
+    Args:
+        planner: plans them.
+        steering: keeps the tip off walls.
+        settings: lengths in mm of this kidney.
+
+    Attributes:
+        begun_s: when the calyx's inspection began; None before it did.
+    """
+
+    def __init__(self, planner: ViewPlanner, steering: Steering, settings: AutonomySettings) -> None:
+        self._planner, self._steering, self._settings = planner, steering, settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Another calyx, or this one as if it had never been looked at."""
+        self.begun_s: float | None = None
+        self._forget()
+
+    def begin(self, seen: Perception) -> None:
+        """Begin to inspect from here, or go on with it."""
+        self.begun_s = seen.t_s if self.begun_s is None else self.begun_s
+        self._forget()
+
+    def _forget(self) -> None:
+        self._weighed: Iterator[ViewPlan | None] | None = None
+        self._best: ViewPlan | None = None
+        self._view: ViewPlan | None = None
+        self._view_s = self._held_s = 0.0  # since when it is gone to, and held
+
+    def step(self, seen: Perception, T: Array, calyx: int, missing: float) -> Wish | None:
+        """One cycle of control at a pose (4, 4), while so much of a calyx's wall is missing; None: nothing shows more.
+
+        Still while views are weighed.
+        """
+        if self._view is not None:
+            return self._go_to(self._view, seen, T)
+        if self._weighed is None:
+            least = min(self._settings.least_gain, 0.5 * missing)  # near the end, two small steps are worth it, too
+            self._weighed, self._best = self._planner.candidates(seen, T, calyx, least), None
+        for _ in range(_VIEWS_A_CYCLE):
+            try:
+                self._best = next(self._weighed)
+            except StopIteration:
+                self._weighed, self._view = None, self._best
+                self._view_s = self._held_s = seen.t_s
+                return None if self._view is None else Wish()
+        return Wish()
+
+    def _go_to(self, plan: ViewPlan, seen: Perception, T: Array) -> Wish:
+        """Take up a view and hold it."""
+        s, steering = self._settings, self._steering
+        bend, push = plan.bend_rad - seen.bend_rad, plan.insertion_mm - seen.insertion_mm
+        if np.hypot(*bend) >= _THERE_RAD or abs(push) >= _THERE_MM * steering.space.scale:
+            self._held_s = seen.t_s
+        if seen.t_s - self._held_s > _HOLD_S or seen.t_s - self._view_s > _LONGEST_VIEW_S:
+            self._view = None
+            return Wish()
+        speed = float(np.clip(2.0 * push, -s.advance_mm_s, s.advance_mm_s)) * steering.sureness(seen)
+        if push > 0:
+            here = float(steering.space.clearance_mm(T[None, :3, 3])[0])
+            speed *= steering.freedom(T, min(s.clearance_mm, 0.6 * here))
+        return Wish(s.turn_per_s * bend, speed)
