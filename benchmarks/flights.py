@@ -6,12 +6,14 @@
     python -m benchmarks.flights work=DIR half=choosing vary=motion.jump=0.01,0.02,0.05
     python -m benchmarks.flights work=DIR other=true            # every flight in the next kidney's VID: ends lost?
     python -m benchmarks.flights work=DIR odometry=true         # with what the robot reports
+    python -m benchmarks.flights work=DIR phantoms=12 inspections=450 views=150 around=2 odometry=true
     python -m benchmarks.flights work=DIR half=choosing breathless=true   # and without breathing, all else equal
     python -m benchmarks.flights work=DIR half=choosing fit=true          # how far off poses are, learned anew
     python -m benchmarks.flights work=DIR half=choosing fit=true save=true    # and stored with the package
 
 Flights, VIDs, extracted features and the tracks themselves are kept in ``work``: a track is run again only after a
-change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only.
+change of code or settings, and scored anew at every call. ``vary`` takes choosing flights only. ``inspections`` tracks
+so many pictures of a scope that explores each phantom by itself, slowly and close to walls and stones, instead.
 
 Without breathing (up to 1.2 mm), all else equal, positions are as far off: 0.30 mm in the median, 0.97 mm at the 90th
 percentile (with it 0.30 and 0.96), 0.6 % of places more than 3 mm off (0.7 %), a place in 96.3 % of the pictures once
@@ -34,6 +36,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from benchmarks.own_kidney.inspections import inspected, one_a_phantom
 from benchmarks.shared.flights import CHOOSING, JUDGING, flown, population, vid_for
 from benchmarks.shared.results import Report, overrides
 from benchmarks.shared.track_records import Choice, Record, tracked
@@ -44,7 +47,7 @@ from ursnav_torch.errors import InputError
 SETTINGS = {
     "phantoms": 8, "views": 60, "around": 8.0, "pictures": 120, "half": JUDGING, "data": "", "work": "", "vary": "",
     "other": False, "odometry": False, "fit": False, "save": False,
-    "breathless": False, "only": "", "out": "",
+    "breathless": False, "inspections": 0, "only": "", "out": "",
 }  # fmt: skip
 
 
@@ -57,6 +60,8 @@ def main(arguments: list[str]) -> None:
         raise InputError(f"vary= chooses a setting, which the {JUDGING} half must not see; give half={CHOOSING}.")
     if settings["fit"] and (settings["other"] or settings["odometry"] or settings["vary"]):
         raise InputError("fit= learns from the flights as they are, with odometry and without; give no other choice.")
+    if settings["inspections"] and (settings["fit"] or settings["breathless"]):
+        raise InputError("inspections= are tracked as they are; fit= and breathless= take flights.")
     if settings["fit"] and settings["half"] != CHOOSING:
         raise InputError(f"fit= learns, which the {JUDGING} half must not be used for; give half={CHOOSING}.")
     report = Report("flights", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
@@ -84,7 +89,7 @@ def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) ->
     data = Path(settings["data"]) if settings["data"] else None
     given = () if data is None else tuple(sorted(p.parent.name for p in data.glob("*/video.mp4")))
     cases = [c for c in population(settings["phantoms"], given) if c.half == settings["half"]]
-    cases = [c for c in cases if settings["only"] in c.name]
+    cases = [c for c in (one_a_phantom(cases) if settings["inspections"] else cases) if settings["only"] in c.name]
     kidneys = list(
         dict.fromkeys(c.kidney for c in population(settings["phantoms"], given) if c.half == settings["half"])
     )
@@ -99,7 +104,10 @@ def _all_records(settings: dict[str, Any], work: Path, choices: list[Choice]) ->
             around = there.lumen
         for case in (c for c in cases if c.kidney == kidney):
             for choice in choices:
-                seen = flown(case, vid, lumen, settings["pictures"], work, breathless=choice.breathless)
+                if settings["inspections"]:
+                    seen = inspected(case, vid, settings["inspections"], work)
+                else:
+                    seen = flown(case, vid, lumen, settings["pictures"], work, breathless=choice.breathless)
                 yield choice, tracked(seen, there, around, choice)
             print(f"{case.name}: severity {case.severity:g}", file=sys.stderr, flush=True)
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.own_kidney.inspections import inspected
+from benchmarks.own_kidney.inspections import inspected, one_a_phantom
 from benchmarks.own_kidney.weights import PRIOR, RELATIVE, fitted
 from benchmarks.shared.flights import CHOOSING, Case, Flown, flown, population, vid_for
 from benchmarks.shared.results import Report, overrides
@@ -113,8 +113,7 @@ def _all_seen(settings: dict[str, Any], work: Path) -> Iterator[Seen]:
     flights = [c for c in population(settings["phantoms"]) if c.half == CHOOSING]
     yield from _tracked(FLIGHT, flights, FLIGHT_VIEWS, fly, settings["others"], work)
     cases = [c for c in population(settings["inspected"]) if c.half == CHOOSING]
-    explored = [case for i, case in enumerate(cases) if i % 3 == i // 3 % 3]  # one a phantom, the kinds in turn
-    yield from _tracked(INSPECTION, explored, INSPECTION_VIEWS, inspect, settings["others"], work)
+    yield from _tracked(INSPECTION, one_a_phantom(cases), INSPECTION_VIEWS, inspect, settings["others"], work)
 
 
 def _tracked(

@@ -1,5 +1,6 @@
 """Regions before the wall: their kind, place, size and probability, and what is too faint or too small to be told."""
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -98,3 +99,25 @@ def test_a_stone_that_fills_a_fifth_of_the_picture_and_more_is_told_whole(phanto
         shown += 1
         told.append(max((float(b.mask[small].mean()) for b in bodies), default=0.0))
     assert shown >= 8 and sum(t >= 0.7 for t in told) >= 0.8 * shown, told
+
+
+def test_a_stone_leaves_no_rim_in_the_relief_of_the_wall_that_a_track_reads_beside_it(lens, vid, monkeypatch) -> None:
+    renderer, extractor = RaycastRenderer(vid.kidney.mesh, lens), DefaultExtractor(DefaultSettings(), lens, 0.0)
+    height, width = extractor.lens_mask.shape
+    v, u = np.mgrid[:height, :width] / height
+    hidden = (u - 0.45) ** 2 + (v - 0.5) ** 2 < 0.2**2
+    stone = torch.zeros(2, height, width)
+    stone[0] = torch.from_numpy(hidden.astype(np.float32))
+    there = cv2.resize(hidden.astype(np.uint8), (lens.width, lens.height)) > 0
+    alike = []
+    for T in vid.T_kidney_camera[28::7]:
+        image = renderer.render(T).image
+        monkeypatch.setattr(WallReader, "before", lambda self, image: torch.zeros_like(stone))
+        plain = extractor.extract(image, edges=False, bare=True).fields[0]
+        monkeypatch.setattr(WallReader, "before", lambda self, image: stone)
+        found = extractor.extract(np.where(there, 250, image).astype(np.uint8), edges=False, bare=True)
+        assert [body.kind for body in found.bodies] == ["stone"]
+        compared = (found.valid > 0.5) & (extractor.lens_mask > 0)
+        assert 0.6 < compared.sum() / extractor.lens_mask.sum() < 0.85
+        alike.append(float(np.corrcoef(found.fields[0][compared], plain[compared])[0, 1]))
+    assert np.median(alike) > 0.9, alike

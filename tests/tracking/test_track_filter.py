@@ -208,7 +208,9 @@ def test_a_place_where_the_scope_was_not_driven_is_believed_by_its_own_evidence_
 ) -> None:
     """Pictures of another calyx while the robot says that nothing moved: where they fit badly the track starts anew."""
     late = OwnKidneySettings(after_leap=-2.5)  # so that it takes more than two pictures
-    tracker = Tracker(vid, TrackSettings(challenger=ChallengerSettings(challenge_below=well), own_kidney=late))
+    tracker = Tracker(
+        vid, TrackSettings(challenger=ChallengerSettings(challenge_below=well, coast_s=0.0), own_kidney=late)
+    )
     way = flight(phantom, 2)
     for i, T in enumerate([*way, *[way[-1]] * 5]):  # at its end it is settled
         inserted = OdometryReading(0.8 * min(i, len(way) - 1))

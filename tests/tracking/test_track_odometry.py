@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 from flights import flight
+from scipy.spatial.transform import Rotation
 
+from ursnav_torch.geometry import transform_from
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.tracking.certainty import track_weights
 from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
-from ursnav_torch.tracking.tracker import Tracked, Tracker
+from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid
 
 
@@ -55,3 +58,41 @@ def test_a_leap_to_where_no_robot_leads_must_fit_better(vid: Vid, phantom: Kidne
         near = far if led else poses[-1]
         T = tracker._steady(far, between, len(poses) / 10, None, (near,))
         assert bool(np.linalg.norm(T[:3, 3] - far[:3, 3]) < 1e-6) is leaps
+
+
+def test_a_track_coasts_on_the_robots_word_past_pictures_of_where_it_was_not_driven(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer
+) -> None:
+    """Pictures show another place while the robot stands: for a second that is no place; then it is the track's."""
+    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1))
+    tracker, way, far = Tracker(vid, wary), flight(phantom, 2), flight(phantom, 5)[-1]
+    pictures = [renderer.render(T).image for T in [*way, *[way[-1]] * 5, *[far] * 20]]
+    told = [OdometryReading(0.8 * min(i, len(way) - 1)) for i in range(len(pictures))]
+    answers = [tracker.step(p, i / 10, odometry=o) for i, (p, o) in enumerate(zip(pictures, told, strict=True))]
+    settled, after = answers[len(way) + 4], answers[len(way) + 5 :]
+    assert settled.state == TRACKING and settled.T_kidney_camera is not None
+    leapt = next(n for n, a in enumerate(after) if a.T_aligned is not None and near(a.T_aligned, far))
+    for answer in after[leapt : leapt + 9]:
+        assert answer.state == SEARCHING and answer.T_kidney_camera is not None
+        assert near(answer.T_kidney_camera, settled.T_kidney_camera), "where the robot stands"
+    assert after[-1].state == TRACKING and after[-1].T_kidney_camera is not None
+    assert near(after[-1].T_kidney_camera, far), "in the end, as pictures go on to say so"
+
+
+@pytest.mark.parametrize(("score", "turned", "coasts"), [(0.7, False, True), (0.9, False, False), (0.7, True, False)])
+def test_what_fits_well_or_is_only_turned_is_believed_at_once(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, score: float, turned: bool, coasts: bool
+) -> None:
+    poses, tracker = flight(phantom, 2), Tracker(vid)
+    told_of(tracker, renderer, poses)
+    T, here = flight(phantom, 5)[-1], tracker._smooth.predict(len(poses) / 10)
+    assert here is not None
+    if turned:
+        T = here @ transform_from(Rotation.from_euler("x", 60, degrees=True).as_matrix(), np.zeros(3))
+    found = tracker._steady(T, score, len(poses) / 10, None, (here,))
+    assert near(found, here if coasts else T)
+
+
+def near(T: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two poses (4, 4) are one place."""
+    return bool(are_near(T[None], other, 2.0, 20.0)[0])

@@ -189,6 +189,7 @@ class Tracker:
         self._seen_s, self._state = 0.0, SEARCHING
         self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
+        self._coasts_s: float | None = None  # since when alignments are not believed, and the pose is a robot's word
         self._is_sure = False  # whether this track has been beyond doubt
         self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
@@ -320,7 +321,8 @@ class Tracker:
             self._sure = self._sure.sensed(sensor.sigma_mm)
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
-        state, places = self.state_at(self._sure), likeliest_places(found)
+        state = SEARCHING if self._coasts_s is not None else self.state_at(self._sure)
+        places = likeliest_places(found)
         return Tracked(state, T, calyx, confidence, fit, refined.score, spent, T_aligned, evidence, self._sure, places)
 
     def state_at(self, sure: TrackCertainty) -> str:
@@ -397,18 +399,27 @@ class Tracker:
     ) -> Array:
         """The refined pose, smoothed; a pose far from where the motion leads starts a new track.
 
-        Where a robot told of the motion, and of no other place (4, 4) that is near, such a pose is less believed.
+        Where a robot told of the motion, and of no other place (4, 4) that is near, such a pose is less believed: for a
+        while the track coasts, see `ChallengerSettings.coast_s`.
         """
         expected = self._smooth.predict(t_s)
         if expected is not None and not self._near(expected[None], T)[0]:
             s = self.settings.challenger
             foreseen = not told or self._near(np.array(told), T).any()
+            away = float(np.linalg.norm(T[:3, 3] - expected[:3, 3])) > self.settings.filter.same_place_mm
+            if not foreseen and score < (s.coast_below if away else s.challenge_below):
+                self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
+                if t_s - self._coasts_s < s.coast_s:
+                    return expected
             if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected
             self._smooth.reset()
+            self._coasts_s = None
             if not foreseen and score < s.challenge_below:  # nor was it driven there
                 self._test.leapt()
                 self._state = SEARCHING
+        else:
+            self._coasts_s = None
         T = self._smooth.update(T, t_s, score)
         at = None if sensor is None else sensor.camera_at(T)
         if sensor is not None and at is not None:
