@@ -171,8 +171,8 @@ class DefaultExtractor:
         """
         wall = self._small_mask * (_widened(hidden, _BESIDE * self._unit) < 0.5)
         around = LocalPlane(wall, self._around.sigma_px, torch.float32)
-        detail = around.detail(log_image)
-        detail = detail - self._shading(detail) * wall
+        with_shading = around.detail(log_image)
+        detail = with_shading - self._shading(with_shading) * wall
         return flat_of(detail, around.variance(detail), wall), wall * (1 - _widened(hidden, _UNCOMPARED * self._unit))
 
     def _small_log(self, gray: Tensor) -> Tensor:

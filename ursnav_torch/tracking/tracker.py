@@ -321,13 +321,16 @@ class Tracker:
             self._sure = self._sure.sensed(sensor.sigma_mm)
         confidence = share / (1 + np.exp(-self._test.trust))
         spent = time.perf_counter() - start
-        state = SEARCHING if self._coasts_s is not None else self.state_at(self._sure)
-        places = likeliest_places(found)
+        state, places = self._state_at(self._sure), likeliest_places(found)
         return Tracked(state, T, calyx, confidence, fit, refined.score, spent, T_aligned, evidence, self._sure, places)
 
     def state_at(self, sure: TrackCertainty) -> str:
         """``tracking`` while a pose in this kidney is sure enough to be a place, else ``searching``."""
         return TRACKING if sure.region_mm <= self.settings.certainty.largest_mm else SEARCHING
+
+    def _state_at(self, sure: TrackCertainty) -> str:
+        """The same of the newest picture: a robot's word alone is no place while pictures contradict it."""
+        return self.state_at(sure) if self._coasts_s is None else SEARCHING
 
     def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:
         """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""
@@ -366,7 +369,7 @@ class Tracker:
         """The pose of a settled track, aligned alone, with the hypotheses carried along; None where it is time, or
         necessary, to weigh the picture against all views."""
         due = self._looked_s is None or t_s - self._looked_s >= self._filter.settings.every_s - _SAME_TIME_S
-        sure = self._sure is not None and self.state_at(self._sure) == TRACKING
+        sure = self._sure is not None and self._state_at(self._sure) == TRACKING
         if due or not sure or self._state != TRACKING or self._aligned is None or self._found is None:
             return None
         before = self._aligned.T_kidney_camera
@@ -444,6 +447,6 @@ class Tracker:
         if carried is not None:
             mm, deg = carried.sd_mm, float(np.degrees(carried.sd_rad))
         sure = None if self._sure is None else self._sure.later(mm, deg).of(calyx)
-        state = TRACKING if sure is None else self.state_at(sure)
+        state = TRACKING if sure is None else self._state_at(sure)
         spent = time.perf_counter() - start
         return Tracked(state, T, calyx, confidence, np.nan, np.nan, spent, certainty=sure)
