@@ -49,6 +49,23 @@ def test_surroundings_of_a_slope_are_the_slope_itself_even_at_the_rim() -> None:
     assert off < 0.02 < 0.2 < ((masked_blur(slope, MASK, 6.0) - slope) * MASK).abs().max()
 
 
+def test_plane_is_that_of_least_squares_also_beside_a_hole_and_in_single_precision() -> None:
+    """The closed form against numpy's solver, at pixels in the middle, at the hole's edge and at the rim."""
+    v, u = torch.meshgrid(torch.arange(125), torch.arange(125), indexing="ij")
+    mask, image = MASK * ((u - 70) ** 2 + (v - 60) ** 2 > 25**2), wall()
+    planes = {dtype: LocalPlane(mask, 6.0, dtype)(image) for dtype in (torch.float64, torch.float32)}
+    v, u, seen = v.numpy(), u.numpy(), mask.numpy()
+    for x, y in ((30, 60), (44, 60), (70, 34), (6, 62)):
+        reach = (abs(u - x) <= 18) & (abs(v - y) <= 18)  # the blur's: three of its widths
+        weight = np.sqrt(np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 6.0**2)) * seen * reach).ravel()
+        columns = np.stack([np.ones(125 * 125), (u - x).ravel(), (v - y).ravel()], 1)
+        solved = np.linalg.lstsq(columns * weight[:, None], image.numpy().ravel() * weight, rcond=None)[0]
+        for plane in planes.values():
+            assert abs(float(plane[y, x]) - solved[0]) < 0.01
+    torch.testing.assert_close(planes[torch.float32], planes[torch.float64], rtol=0, atol=1e-4)
+    assert (planes[torch.float32][mask == 0] == 0).all()
+
+
 def test_beam_of_the_light_leaves_the_relief_alone_up_to_the_rim() -> None:
     beam = torch.from_numpy(np.log(np.clip(LENS.pixel_rays()[0][..., 2], 0.05, 1))).float()
     rim = (MASK > 0) & (masked_blur(MASK, torch.ones_like(MASK), 4.0) < 0.98)

@@ -99,8 +99,7 @@ class ChallengerSettings:
             place; the same where it is near but turned, and scores less than ``challenge_below``. Six choosing
             inspections have a place in 97.0 % of the pictures, 95.0 % without, 0.6 and 0.4 % of these too far off
             (`benchmarks.flights half=choosing phantoms=12 inspections=450 views=150 around=2 odometry=true
-            vary=challenger.coast_s=0`); where leaps of any score coast for 0.5 and 1 s, 96.2 and 96.3 %, 0.9 and
-            0.5 %, and where those do below ``challenge_below`` alone, 96.3 %, 1.3 %, by an own script.
+            vary=challenger.coast_s=0`). ``coast_below`` was set beside it after few tries, not varied by a command.
     """
 
     starts: int = 5

@@ -1,0 +1,78 @@
+"""The inspection of a calyx: views are weighed while it stands, taken up, held, and ended where none shows more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import later
+
+from ursnav_torch.autonomy.inspection import Inspection
+from ursnav_torch.autonomy.next_view import ViewPlan
+
+
+class Plans:
+    """A planner that has so many candidates, of which the best is known from the second on."""
+
+    def __init__(self, best: ViewPlan | None) -> None:
+        self.best, self.least = best, []
+
+    def candidates(self, seen, T, calyx, least_gain):
+        self.least.append(least_gain)
+        yield None
+        for _ in range(5):
+            yield self.best
+
+
+@pytest.fixture
+def begun(explorer, at_root):
+    """An inspection that begins in the pelvis, by a planner of the test's."""
+
+    def begin(best: ViewPlan | None):
+        inspection = Inspection(Plans(best), explorer._steering, explorer.settings)
+        inspection.begin(at_root)
+        return inspection
+
+    return begin
+
+
+def test_it_stands_while_views_are_weighed_goes_to_the_best_holds_it_and_weighs_anew(begun, at_root) -> None:
+    there = ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01)
+    inspection, T, seen = begun(there), at_root.T_kidney_camera, at_root
+    still = 0
+    while (wish := inspection.step(seen, T, 0, 0.5)).is_still:
+        seen, still = later(seen, 0.02), still + 1
+    assert still >= 3 and (wish.bend_rad_s > 0).all()
+    seen = later(seen, 0.02, bend_rad=there.bend_rad)
+    for _ in range(20):
+        inspection.step(seen, T, 0, 0.5)
+        seen = later(seen, 0.02)
+    assert len(inspection._planner.least) == 1, "held"
+    for _ in range(20):
+        inspection.step(seen := later(seen, 0.02), T, 0, 0.01)
+    least = inspection._planner.least
+    assert len(least) == 2 and least[1] == 0.005 < least[0], "near the end, small steps are worth it"
+
+
+def test_where_no_view_shows_more_it_says_so(begun, at_root) -> None:
+    inspection = begun(None)
+    answers = [inspection.step(at_root, at_root.T_kidney_camera, 0, 0.5) for _ in range(4)]
+    assert answers[-1] is None and all(wish is not None for wish in answers[:-1])
+
+
+def test_a_view_that_cannot_be_reached_is_left_after_a_while(begun, at_root) -> None:
+    inspection, T = begun(ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01)), at_root.T_kidney_camera
+    seen = at_root
+    while inspection.step(seen, T, 0, 0.5).is_still:
+        seen = later(seen, 0.02)
+    assert not inspection.step(later(seen, 3.9), T, 0, 0.5).is_still
+    assert inspection.step(later(seen, 4.2), T, 0, 0.5).is_still
+
+
+def test_going_on_keeps_the_time_and_another_calyx_begins_anew(begun, at_root) -> None:
+    inspection = begun(None)
+    inspection.begin(replace(at_root, t_s=9.0))
+    assert inspection.begun_s == at_root.t_s
+    inspection.reset()
+    assert inspection.begun_s is None
+    inspection.begin(replace(at_root, t_s=9.0))
+    assert inspection.begun_s == 9.0 and np.isfinite(inspection.begun_s)
