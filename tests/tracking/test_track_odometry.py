@@ -56,7 +56,7 @@ def test_a_leap_to_where_no_robot_leads_must_fit_better(vid: Vid, phantom: Kidne
         tracker, far = Tracker(vid), flight(phantom, 5)[-1]
         told_of(tracker, renderer, poses)
         near = far if led else poses[-1]
-        T = tracker._steady(far, between, len(poses) / 10, None, (near,))
+        T = tracker._course.follow(far, between, len(poses) / 10, None, (near,))[0]
         assert bool(np.linalg.norm(T[:3, 3] - far[:3, 3]) < 1e-6) is leaps
 
 
@@ -85,11 +85,11 @@ def test_what_fits_well_or_is_only_turned_is_believed_at_once(
 ) -> None:
     poses, tracker = flight(phantom, 2), Tracker(vid)
     told_of(tracker, renderer, poses)
-    T, here = flight(phantom, 5)[-1], tracker._smooth.predict(len(poses) / 10)
+    T, here = flight(phantom, 5)[-1], tracker._course.predict(len(poses) / 10)
     assert here is not None
     if turned:
         T = here @ transform_from(Rotation.from_euler("x", 60, degrees=True).as_matrix(), np.zeros(3))
-    found = tracker._steady(T, score, len(poses) / 10, None, (here,))
+    found = tracker._course.follow(T, score, len(poses) / 10, None, (here,))[0]
     assert near(found, here if coasts else T)
 
 

@@ -22,9 +22,9 @@ from ursnav_torch.kidney import observed_calyx
 from ursnav_torch.matching import Matching
 from ursnav_torch.scaling import scaled
 from ursnav_torch.search import VIDEO_SEARCH, SearchSettings, ViewSearch
-from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.tracking.certainty import TrackCertainty, track_certainty, track_evidence, track_weights
+from ursnav_torch.tracking.course import Course
 from ursnav_torch.tracking.filter import ViewFilter, with_incumbent
 from ursnav_torch.tracking.motion import Hypotheses, Since, likeliest_places
 from ursnav_torch.tracking.own_kidney import Decoy, KidneyEvidence, OwnKidneyTest
@@ -36,7 +36,6 @@ from ursnav_torch.tracking.robot.dead_reckoning import DeadReckoning
 from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
-from ursnav_torch.tracking.smooth import PoseFilter
 from ursnav_torch.vid import Vid
 
 Array = NDArray[np.float64]
@@ -136,7 +135,7 @@ class Tracker:
         self._refiner = Refiner(vid, refinement or video_refinement(s.challenger.starts))
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
-        self._smooth, self._robot = PoseFilter(s.smoothing), DeadReckoning(s.odometry, self.lumen, vid.kidney.scale)
+        self._course, self._robot = Course(s), DeadReckoning(s.odometry, self.lumen, vid.kidney.scale)
         self._reader = TrackReader(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._reader.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
@@ -178,7 +177,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget everything: the scope may be anywhere."""
-        self._smooth.reset()
+        self._course.reset()
         self._robot.reset()
         self._aligned: Refined | None = None  # the pose in the last picture, where that showed something
         self._before: Hypotheses | None = None
@@ -189,7 +188,6 @@ class Tracker:
         self._seen_s, self._state = 0.0, SEARCHING
         self._sure: TrackCertainty | None = None
         self._test = OwnKidneyTest(self.settings.own_kidney)
-        self._coasts_s: float | None = None  # since when alignments are not believed, and the pose is a robot's word
         self._is_sure = False  # whether this track has been beyond doubt
         self._pattern = ScopePattern(self.vid.kidney.scale)
         self._pursuit.reset()
@@ -250,17 +248,16 @@ class Tracker:
 
     def _left_out(self, features: Features) -> Features:
         """Features without what is known to hide the wall from where a track goes on."""
-        belief = self._smooth.belief if self._state == TRACKING else None
-        if belief is None:
+        T, step = self._course.pose() if self._state == TRACKING else None, self._robot.step
+        if T is None:
             return features
-        step = self._robot.step
-        T = belief.pose() if step is None else belief.pose() @ step.T_before_now
+        T = T if step is None else T @ step.T_before_now
         return self.known.left_out(features, T, self.working_camera, self._reader.lens_mask)
 
     def _told_places(self, t_s: float) -> tuple[Array, ...]:
         """Go on to the time of a picture: where (4, 4) a robot's word puts the camera, see `Weighed`; else nothing."""
         step = self._robot.step
-        ahead = self._smooth.predict(t_s, step)
+        ahead = self._course.predict(t_s, step)
         return () if step is None or ahead is None else (ahead, *self._robot.expected())
 
     def _learn_plays(self, refined: Refined, passed: float) -> None:
@@ -310,7 +307,7 @@ class Tracker:
             T = self._steady(T_aligned, refined.score, t_s, sensor, told)
         self._remember(found, T if told else T_aligned, t_s)
         if self._state != TRACKING:
-            self._smooth.reset()
+            self._course.reset()
             spent, places = time.perf_counter() - start, likeliest_places(found)
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T_aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
@@ -330,7 +327,7 @@ class Tracker:
 
     def _state_at(self, sure: TrackCertainty) -> str:
         """The same of the newest picture: a robot's word alone is no place while pictures contradict it."""
-        return self.state_at(sure) if self._coasts_s is None else SEARCHING
+        return self.state_at(sure) if not self._course.coasts else SEARCHING
 
     def _certainty(self, found: Hypotheses, T: Array, calyx: int, score: float) -> tuple[TrackCertainty, float]:
         """How sure a pose (4, 4) and its calyx are, and the probability of the calyx among the hypotheses."""
@@ -356,7 +353,7 @@ class Tracker:
         found = self._relocalizer.locate(image, as_taken)
         if found is None:
             return refined, None
-        self._smooth.reset()
+        self._course.reset()
         return self._pursuit.restart(picture, found.T_kidney_camera), found
 
     def _remember(self, found: Hypotheses, T: Array, t_s: float) -> None:
@@ -392,42 +389,14 @@ class Tracker:
         self._is_sure = self._state == TRACKING and (self._is_sure or not self._test.in_doubt)
         return evidence
 
-    def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
-        """Which poses (K, 4, 4) are one place with another."""
-        s = self.settings.filter
-        return are_near(T_a, T_b, s.same_place_mm, s.same_place_deg)
-
     def _steady(
         self, T: Array, score: float, t_s: float, sensor: SensorReading | None, told: tuple[Array, ...]
     ) -> Array:
-        """The refined pose, smoothed; a pose far from where the motion leads starts a new track.
-
-        Where a robot told of the motion, and of no other place (4, 4) that is near, such a pose is less believed: for a
-        while the track coasts, see `ChallengerSettings.coast_s`.
-        """
-        expected = self._smooth.predict(t_s)
-        if expected is not None and not self._near(expected[None], T)[0]:
-            s = self.settings.challenger
-            foreseen = not told or self._near(np.array(told), T).any()
-            away = float(np.linalg.norm(T[:3, 3] - expected[:3, 3])) > self.settings.filter.same_place_mm
-            if not foreseen and score < (s.coast_below if away else s.challenge_below):
-                self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
-                if t_s - self._coasts_s < s.coast_s:
-                    return expected
-            if score < (s.reacquire_below if foreseen else s.leap_above):
-                return expected
-            self._smooth.reset()
-            self._coasts_s = None
-            if not foreseen and score < s.challenge_below:  # nor was it driven there
-                self._test.leapt()
-                self._state = SEARCHING
-        else:
-            self._coasts_s = None
-        T = self._smooth.update(T, t_s, score)
-        at = None if sensor is None else sensor.camera_at(T)
-        if sensor is not None and at is not None:
-            self._smooth.measure(at, sensor.sigma_mm)
-            T = self._smooth.pose()
+        """The pose smoothed, see `Course.follow`; what spoke for a place does not speak for the one leapt to."""
+        T, leapt = self._course.follow(T, score, t_s, sensor, told)
+        if leapt:
+            self._test.leapt()
+            self._state = SEARCHING
         return T
 
     def _bridge(self, t_s: float, start: float) -> Tracked:
@@ -435,8 +404,8 @@ class Tracker:
         blind = t_s - self._seen_s > self.settings.filter.bridge_s and self._robot.carried is None
         if self._state == TRACKING and blind:
             self._state = SEARCHING
-            self._smooth.reset()
-        T = self._smooth.predict(t_s, self._robot.step) if self._state == TRACKING else None
+            self._course.reset()
+        T = self._course.predict(t_s, self._robot.step) if self._state == TRACKING else None
         if T is None:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])

@@ -1,0 +1,80 @@
+"""The course of a track: what is followed at once, what is coasted past, and what begins it anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ursnav_torch.geometry import transform_from
+from ursnav_torch.tracking.course import Course
+from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
+
+HERE = np.eye(4)
+FAR = transform_from(np.eye(3), np.array([8.0, 0.0, 0.0]))
+
+
+def settled() -> Course:
+    """A course that has stood still for a second."""
+    course = Course(TrackSettings())
+    for n in range(11):
+        course.follow(HERE, 0.9, n / 10, None, (HERE,))
+    return course
+
+
+def follow(course: Course, t_s: float, score: float = 0.7, told: tuple[np.ndarray, ...] = (HERE,)) -> tuple[bool, bool]:
+    """Whether it goes to where a picture's alignment is, and leaps there."""
+    T, leapt = course.follow(FAR, score, t_s, None, told)
+    return bool(np.linalg.norm(T[:3, 3] - FAR[:3, 3]) < 1.0), leapt
+
+
+@pytest.mark.parametrize(
+    ("score", "told", "goes", "leapt"),
+    [
+        (0.7, (HERE,), False, False),  # coasts
+        (0.9, (HERE,), True, False),  # aligned too well not to be believed
+        (0.7, (), True, False),  # no robot told
+        (0.3, (), False, False),  # nor is anybody believed whose picture fits badly
+        (0.7, (HERE, FAR), True, False),  # the shaft's way leads there
+    ],
+)
+def test_what_fits_or_was_foreseen_is_followed_at_once(score, told, goes, leapt) -> None:
+    course = settled()
+    assert follow(course, 1.1, score, told) == (goes, leapt)
+    assert course.coasts is (score == 0.7 and told == (HERE,))
+
+
+@pytest.mark.parametrize(("score", "leapt"), [(0.7, False), (0.6, True)])
+def test_after_a_second_of_coasting_it_goes_where_pictures_say_and_a_bad_one_leaps(score, leapt) -> None:
+    course = settled()
+    for n in range(10):
+        assert follow(course, 1.1 + n / 10, score) == (False, False) and course.coasts
+    assert follow(course, 2.2, score) == (True, leapt) and not course.coasts
+
+
+def test_where_alignments_come_back_coasting_ends_and_begins_anew() -> None:
+    course = settled()
+    assert not follow(course, 1.1)[0]
+    course.follow(HERE, 0.7, 1.2, None, (HERE,))
+    assert not course.coasts
+    assert follow(course, 2.15) == (False, False), "a second counts from the last that was believed"
+
+
+def test_what_cannot_be_aligned_is_not_followed_even_after_a_second() -> None:
+    course, s = settled(), ChallengerSettings()
+    bad = (s.reacquire_below + s.leap_above) / 2
+    assert [follow(course, 1.1 + n / 5, bad)[0] for n in range(10)] == [False] * 10 and course.coasts
+
+
+def test_a_course_that_is_forgotten_coasts_no_more() -> None:
+    course = settled()
+    follow(course, 1.1)
+    course.reset()
+    assert not course.coasts and course.pose() is None
+    assert follow(course, 1.2) == (True, False)
+
+
+def test_without_coasting_a_leap_is_made_at_once() -> None:
+    settings = TrackSettings()
+    course = Course(replace(settings, challenger=replace(settings.challenger, coast_s=0.0)))
+    course.follow(HERE, 0.9, 0.0, None, (HERE,))
+    assert follow(course, 0.1, 0.6) == (True, True)

@@ -1,0 +1,92 @@
+"""The course of a track: its pose, smoothed, and whether an alignment far from where motion leads is believed.
+
+Where a robot tells of the motion a single such picture is not: the track coasts on the robot's word for a while.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ursnav_torch.search.pose_mean import are_near
+from ursnav_torch.tracking.robot.odometry import Carried
+from ursnav_torch.tracking.sensor import SensorReading
+from ursnav_torch.tracking.settings import TrackSettings
+from ursnav_torch.tracking.smooth import PoseFilter
+
+Array = NDArray[np.float64]
+
+
+class Course:
+    """Where one track goes.
+
+    Args:
+        settings: of the track; lengths in mm of this kidney.
+    """
+
+    def __init__(self, settings: TrackSettings) -> None:
+        self._settings, self._smooth = settings, PoseFilter(settings.smoothing)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget it."""
+        self._smooth.reset()
+        self._coasts_s: float | None = None  # since when alignments are not believed
+
+    @property
+    def coasts(self) -> bool:
+        """Whether the pose is where motion leads, as alignments are not believed."""
+        return self._coasts_s is not None
+
+    def pose(self) -> Array | None:
+        """(4, 4), as of the last time that was asked about; None before the first."""
+        return None if self._smooth.belief is None else self._smooth.pose()
+
+    def predict(self, t_s: float, carried: Carried | None = None) -> Array | None:
+        """See `PoseFilter.predict`."""
+        return self._smooth.predict(t_s, carried)
+
+    def follow(
+        self, T: Array, score: float, t_s: float, sensor: SensorReading | None, told: tuple[Array, ...]
+    ) -> tuple[Array, bool]:
+        """The smoothed pose (4, 4) after an alignment, and whether it leapt to where the scope was not driven.
+
+        An alignment far from where the motion leads begins a new course. Where a robot told of the motion, and of no
+        other place (4, 4) that is near, it is less believed: for a while the track coasts, see `ChallengerSettings`.
+
+        Args:
+            T: (4, 4) the refined pose.
+            score: how well it is aligned.
+            t_s: when the picture was taken.
+            sensor: the EM reading, if there is one.
+            told: see `Weighed`; empty where no robot told.
+        """
+        expected, leapt = self._smooth.predict(t_s), False
+        if expected is not None and not self._near(expected[None], T)[0]:
+            s = self._settings.challenger
+            foreseen = not told or bool(self._near(np.array(told), T).any())
+            if not foreseen and self._goes_on_coasting(expected, T, score, t_s):
+                return expected, False
+            if score < (s.reacquire_below if foreseen else s.leap_above):
+                return expected, False
+            self._smooth.reset()
+            leapt = not foreseen and score < s.challenge_below
+        self._coasts_s = None
+        T = self._smooth.update(T, t_s, score)
+        at = None if sensor is None else sensor.camera_at(T)
+        if sensor is not None and at is not None:
+            self._smooth.measure(at, sensor.sigma_mm)
+            T = self._smooth.pose()
+        return T, leapt
+
+    def _goes_on_coasting(self, expected: Array, T: Array, score: float, t_s: float) -> bool:
+        """Whether an alignment that no robot foresaw is too bad, or too new, to be followed."""
+        s, near_mm = self._settings.challenger, self._settings.filter.same_place_mm
+        away = float(np.linalg.norm(T[:3, 3] - expected[:3, 3])) > near_mm
+        if score >= (s.coast_below if away else s.challenge_below):
+            return False
+        self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
+        return t_s - self._coasts_s < s.coast_s
+
+    def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
+        """Which poses (K, 4, 4) are one place with another."""
+        s = self._settings.filter
+        return are_near(T_a, T_b, s.same_place_mm, s.same_place_deg)
