@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.retrieval import (
     bulls_eye,
-    descriptors,
+    described,
     first_neighbor,
     main,
     nearest_distances,
@@ -16,6 +16,7 @@ from benchmarks.shared.outlines import mirrored, outline, read_silhouettes, silh
 from benchmarks.shared.rerank import diffuse
 from benchmarks.shared.shapes import silhouettes
 from ursnav_torch.errors import InputError
+from ursnav_torch.matching import Ordered
 
 
 def disk(side: int = 80, radius: int = 20, center: tuple[int, int] = (40, 40)) -> np.ndarray:
@@ -72,8 +73,8 @@ def test_tiny_shapes_have_an_outline_and_empty_images_none() -> None:
 def test_a_mirror_image_is_the_outline_of_the_mirrored_picture() -> None:
     image = silhouettes(1, 1)[0][1]
     seen, turned = mirrored(outline(image, 100)), outline(image[:, ::-1], 100)
-    histograms = descriptors([seen, turned, outline(image, 100)])
-    distances, _ = nearest_distances(histograms, 0 * histograms)
+    histograms = described([seen, turned, outline(image, 100)], 1.0).histograms
+    distances = nearest_distances(histograms, 0 * histograms)
     assert distances[0, 1] < 0.5 * distances[0, 2]
 
 
@@ -107,10 +108,11 @@ def test_order_and_neighborhoods_help_on_drawn_silhouettes() -> None:
     shapes = silhouettes(6, 8, seed=2)
     labels = np.unique([name.rsplit("-", 1)[0] for name, _ in shapes], return_inverse=True)[1]
     outlines = [outline(image, 60) for _, image in shapes]
-    own, flipped = descriptors(outlines), descriptors([mirrored(o) for o in outlines])
-    coarse, side = nearest_distances(own, flipped)
-    fine = ordered_distances(own, flipped, coarse, side, 30)
-    assert np.diag(fine).max() < 1e-5
+    own, flipped = described(outlines, 1.0), described([mirrored(o) for o in outlines], 1.0)
+    coarse = nearest_distances(own.histograms, flipped.histograms)
+    np.testing.assert_array_equal(coarse, coarse.T)
+    fine = ordered_distances(own, flipped, 30, Ordered(skip=0.5))
+    assert np.diag(fine).max() < 1e-3
     np.testing.assert_allclose(fine, fine.T)
     assert bulls_eye(fine, labels) >= bulls_eye(coarse, labels) - 0.02 > 0.6
     assert bulls_eye(-diffuse(fine), labels) >= bulls_eye(fine, labels) - 0.02

@@ -4,6 +4,7 @@ pair costs, and nearest, Sinkhorn, Hungarian or OpenCV's own way from costs to a
 from ursnav_torch.matching.cost import PairCost
 from ursnav_torch.matching.descriptor import ShapeContext, describe, fix_scale, mean_distances
 from ursnav_torch.matching.distances import shape_distances
+from ursnav_torch.matching.heights import contour_heights
 from ursnav_torch.matching.matcher import Matcher, Matching
 from ursnav_torch.matching.methods.base import Assignment, Correspondences
 from ursnav_torch.matching.methods.hungarian import Hungarian
@@ -29,6 +30,7 @@ __all__ = [
     "ShapeContext",
     "Sinkhorn",
     "align_outlines",
+    "contour_heights",
     "describe",
     "fix_scale",
     "mean_distances",
