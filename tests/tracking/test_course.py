@@ -7,6 +7,7 @@ import pytest
 
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.tracking.course import Course
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 
 HERE = np.eye(4)
@@ -49,6 +50,15 @@ def test_after_a_second_of_coasting_it_goes_where_pictures_say_and_a_bad_one_lea
     for n in range(10):
         assert follow(course, 1.1 + n / 10, score) == (False, False) and course.coasts
     assert follow(course, 2.2, score) == (True, leapt) and not course.coasts
+
+
+def test_a_sensor_is_heard_while_it_coasts() -> None:
+    course = settled()
+    at = SensorReading(np.array([0.5, 0.0, 0.0]), np.zeros(3), 0.3)
+    T, _ = course.follow(FAR, 0.7, 1.1, at, (HERE,))
+    assert course.coasts and 0.02 < T[0, 3] < 0.5
+    pose = course.pose()
+    assert pose is not None and pose[0, 3] == pytest.approx(T[0, 3])
 
 
 def test_where_alignments_come_back_coasting_ends_and_begins_anew() -> None:

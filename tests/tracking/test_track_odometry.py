@@ -79,6 +79,25 @@ def test_a_track_coasts_on_the_robots_word_past_pictures_of_where_it_was_not_dri
     assert near(after[-1].T_kidney_camera, far), "in the end, as pictures go on to say so"
 
 
+def test_pictures_that_are_coasted_past_teach_nothing(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1), filter=FilterSettings(every_s=0.0))
+    tracker, way, taught = Tracker(vid, wary), flight(phantom, 2), []
+    told_of(tracker, renderer, way)
+    for part, name in ((tracker._robot, "learn"), (tracker._robot, "mark"), (tracker._pattern, "learn")):
+        monkeypatch.setattr(part, name, lambda *_, name=name: taught.append(name))
+    monkeypatch.setattr(tracker._pattern, "tells", lambda *_: True)
+    counts = {True: [], False: []}  # what a picture taught, by whether the track coasts past it
+    far, stands = renderer.render(flight(phantom, 5)[-1]).image, OdometryReading(0.8 * (len(way) - 1))
+    for n in range(25):
+        before = len(taught)
+        tracker.step(far, (len(way) + n) / 10, odometry=stands)
+        counts[tracker._course.coasts].append(len(taught) - before)
+    assert len(counts[True]) >= 8 and not any(counts[True])
+    assert counts[False][-1] == 3, "as soon as it is followed it teaches: plays, the way in and the pattern"
+
+
 @pytest.mark.parametrize(("score", "turned", "coasts"), [(0.7, False, True), (0.9, False, False), (0.7, True, False)])
 def test_what_fits_well_or_is_only_turned_is_believed_at_once(
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer, score: float, turned: bool, coasts: bool

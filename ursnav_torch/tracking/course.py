@@ -64,18 +64,21 @@ class Course:
             s = self._settings.challenger
             foreseen = not told or bool(self._near(np.array(told), T).any())
             if not foreseen and self._goes_on_coasting(expected, T, score, t_s):
-                return expected, False
+                return self._measured(expected, sensor), False
             if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected, False
             self._smooth.reset()
             leapt = not foreseen and score < s.challenge_below
         self._coasts_s = None
-        T = self._smooth.update(T, t_s, score)
+        return self._measured(self._smooth.update(T, t_s, score), sensor), leapt
+
+    def _measured(self, T: Array, sensor: SensorReading | None) -> Array:
+        """The pose (4, 4) of now, with the EM reading if there is one."""
         at = None if sensor is None else sensor.camera_at(T)
-        if sensor is not None and at is not None:
-            self._smooth.measure(at, sensor.sigma_mm)
-            T = self._smooth.pose()
-        return T, leapt
+        if sensor is None or at is None:
+            return T
+        self._smooth.measure(at, sensor.sigma_mm)
+        return self._smooth.pose()
 
     def _goes_on_coasting(self, expected: Array, T: Array, score: float, t_s: float) -> bool:
         """Whether an alignment that no robot foresaw is too bad, or too new, to be followed."""

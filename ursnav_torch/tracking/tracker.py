@@ -260,6 +260,18 @@ class Tracker:
         ahead = self._course.predict(t_s, step)
         return () if step is None or ahead is None else (ahead, *self._robot.expected())
 
+    def _learn(self, as_taken: Features, refined: Refined, passed: float) -> None:
+        """Learn from a picture as aligned what the scope adds to pictures, and how its robot moves it; from one whose
+        alignment is not believed, nothing.
+        """
+        believed = not self._course.coasts
+        if believed and self._pattern.tells(refined.T_kidney_camera, refined.score):
+            self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
+        if believed:
+            self._learn_plays(refined, passed)
+        self._aligned = refined if believed else None
+        self._robot.seen()
+
     def _learn_plays(self, refined: Refined, passed: float) -> None:
         """Compare the step from the picture before, as both are aligned, with the robot's word; remember the way in."""
         before, good = self._aligned, self.settings.challenger.challenge_below
@@ -268,8 +280,6 @@ class Tracker:
             self._robot.learn(inverse(before.T_kidney_camera) @ refined.T_kidney_camera, mm, rad, passed)
         if refined.score >= good:
             self._robot.mark(refined.T_kidney_camera)
-        self._aligned = refined
-        self._robot.seen()
 
     def _follow(
         self,
@@ -299,12 +309,10 @@ class Tracker:
             evidence = self._judge(picture, refined.T_kidney_camera, plain, decoy, t_s, relocated is not None)
         found, fit = self._found, self._fit
         assert found is not None
-        self._learn_plays(refined, passed)
-        if self._pattern.tells(refined.T_kidney_camera, refined.score):
-            self._pattern.learn(as_taken, self._refiner.relief(refined), refined.T_kidney_camera)
         T_aligned = T = refined.T_kidney_camera
         if self._state == TRACKING:
             T = self._steady(T_aligned, refined.score, t_s, sensor, told)
+        self._learn(as_taken, refined, passed)
         self._remember(found, T if told else T_aligned, t_s)
         if self._state != TRACKING:
             self._course.reset()
