@@ -5,6 +5,7 @@
     python -m benchmarks.tracking data=DIR work=DIR        # VIDs are kept there; benchmarks.accuracy shares them
     python -m benchmarks.tracking pictures=10000           # memory over so many pictures, too
     python -m benchmarks.tracking offline=false            # without the answers of hindsight
+    python -m benchmarks.tracking live=false em=false      # with them alone, and without the sensor
 
 A kidney's folder holds ``lumen.stl``, ``calyces.csv``, ``camera.json``, and for ``video``, ``partial`` and ``tissue``
 (pictures of a path tracer) an ``.mp4``, ``_truth.csv`` and, where a sensor was carried, an ``_em.csv``. Every ``video``
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from benchmarks.shared.kidneys import vid_of
 from benchmarks.shared.phantoms import phantom_vid
 from benchmarks.shared.results import Report, overrides, resident_mb
+from ursnav_torch.errors import InputError
 from ursnav_torch.evaluation import frames_to_loss, jitter_mm, pose_errors, success, trajectory_error_mm
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.geometry import look_along, transform_from_quaternion
@@ -40,9 +42,15 @@ from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 from ursnav_torch.vid import PlanSettings, Vid
 
-SETTINGS = {"data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "offline": True, "pictures": 0, "out": ""}
+SETTINGS = {
+    "data": "", "work": "", "phantoms": 2, "views_per_calyx": 240, "live": True, "offline": True, "em": True,
+    "pictures": 0, "out": "",
+}  # fmt: skip
 Array = NDArray[np.float64]
 Follow = Callable[[Tracker, Source, Instruments], Iterator[tuple[Moment, Tracked]]]
+Way = tuple[str, Follow]
+#: What a setting asks for: how its rows are named, and who follows.
+WAYS: dict[str, Way] = {"live": ("", follow_source), "offline": (", offline", follow_both_ways)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,33 +67,35 @@ class Exploration:
 def main(arguments: list[str]) -> None:
     """Track everything, print and keep the figures."""
     settings = overrides(SETTINGS, arguments)
+    ways = [way for name, way in WAYS.items() if settings[name]]
+    if not ways:
+        raise InputError("live=false and offline=false leave nothing to be judged; give one of them.")
     report = Report("tracking", {k: v for k, v in settings.items() if k not in ("data", "work", "out")})
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(settings["work"] or scratch)
         cases = [_phantom(seed, settings, work) for seed in range(settings["phantoms"])]
-        _judge_all(report, cases, settings["offline"])
+        _judge_all(report, cases, ways, settings["em"])
         data = Path(settings["data"]) if settings["data"] else None
         if data is None:
             report.skip("videos", "data= names no folder of kidneys")
         else:
             names = sorted(p.parent.name for p in data.glob("*/video.mp4"))
             videos = [_kidney(data / name, work) for name in names]
-            _judge_all(report, videos, settings["offline"])
+            _judge_all(report, videos, ways, settings["em"])
             cases = videos + cases
         if settings["pictures"] and cases:
             _memory(report, *cases[0], settings["pictures"])
     report.finish(settings["out"])
 
 
-def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]], offline: bool) -> None:
+def _judge_all(report: Report, cases: list[tuple[Vid, list[Exploration]]], ways: list[Way], em: bool) -> None:
     for vid, explorations in cases:
-        for exploration in explorations:
-            _judge(report, vid, exploration, exploration.name, follow_source)
-            if offline:
-                _judge(report, vid, exploration, f"{exploration.name}, offline", follow_both_ways)
+        for exploration in (e for e in explorations if em or e.sensor is None):
+            for said, follow in ways:
+                _judge(report, vid, exploration, exploration.name + said, follow)
     for (vid, _), (_, others) in zip(cases, cases[1:] + cases[:1], strict=True):
         if len(cases) > 1:
-            _judge_other(report, vid, others[0], offline)
+            _judge_other(report, vid, others[0], ways)
 
 
 def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follow: Follow) -> None:
@@ -144,13 +154,13 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     report.add(group, "time a picture, 95th percentile", "ms", [float(np.percentile(times, 95))], n=len(times))
 
 
-def _judge_other(report: Report, vid: Vid, exploration: Exploration, offline: bool) -> None:
+def _judge_other(report: Report, vid: Vid, exploration: Exploration, ways: list[Way]) -> None:
     """Pictures of another kidney: how much is believed, and how it ends."""
     source = Source(exploration.moments, len(exploration.T_kidney_camera), exploration.name)
-    for what, follow in (("tracking", follow_source), ("tracking, offline", follow_both_ways))[: 1 + offline]:
-        states = [answer.state for _, answer in follow(Tracker(vid), source)]
+    for said, follow in ways:
+        states = [answer.state for _, answer in follow(Tracker(vid), source, Instruments())]
         group, share = f"{exploration.name} in another kidney's VID", 100 * states.count(TRACKING) / len(states)
-        report.add(group, what, "%", [share], f"ends {states[-1]}", len(states))
+        report.add(group, "tracking" + said, "%", [share], f"ends {states[-1]}", len(states))
 
 
 def _memory(report: Report, vid: Vid, explorations: list[Exploration], pictures: int) -> None:
