@@ -61,8 +61,8 @@ def main(arguments: Sequence[str]) -> int:
     outlines = [outline(image, settings["points"]) for _, image in shapes]
     own, flipped = (described(o, settings["heights"]) for o in (outlines, [mirrored(o) for o in outlines]))
     told(report, title, "points outlined and described", start, len(shapes))
-    coarse = nearest_distances(own.histograms, flipped.histograms)
-    score(report, title, "shape context, nearest, tangent frame, mirror image tried", coarse, labels)
+    nearest = nearest_distances(own.histograms, flipped.histograms)
+    score(report, title, "shape context, nearest, tangent frame, mirror image tried", nearest, labels)
     told(report, title, "all pairs by nearest", start, len(shapes))
     fine = ordered_distances(own, flipped, settings["shortlist"], Ordered(settings["skip"]))
     score(report, title, "shape context and heights, points in order", fine, labels)

@@ -3,8 +3,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from benchmarks.retrieval import (
+    aligned,
     bulls_eye,
     described,
     first_neighbor,
@@ -116,6 +118,27 @@ def test_order_and_neighborhoods_help_on_drawn_silhouettes() -> None:
     np.testing.assert_allclose(fine, fine.T)
     assert bulls_eye(fine, labels) >= bulls_eye(coarse, labels) - 0.02 > 0.6
     assert bulls_eye(-diffuse(fine), labels) >= bulls_eye(fine, labels) - 0.02
+
+
+def test_costs_are_hellingers_and_what_heights_weigh() -> None:
+    shapes = described([outline(image, 60) for _, image in silhouettes(3, 1)], 2.0)
+    found = shapes.costs(0, shapes, torch.tensor([1, 2]))
+    apart = torch.cdist(shapes.heights[0], shapes.heights[2], compute_mode="donot_use_mm_for_euclid_dist")
+    wanted = 1 - shapes.histograms[0] @ shapes.histograms[2].T + apart
+    torch.testing.assert_close(found[1], wanted, atol=1e-3, rtol=0)
+    lighter = described([outline(image, 60) for _, image in silhouettes(3, 1)], 1.0)
+    torch.testing.assert_close(shapes.heights, 2 * lighter.heights)
+
+
+def test_the_shortlist_is_compared_with_all_points_and_stands_first() -> None:
+    outlines = [outline(image, 60) for _, image in silhouettes(4, 5, seed=3)]
+    own, flipped = described(outlines, 1.0), described([mirrored(o) for o in outlines], 1.0)
+    whole = aligned(own, flipped, np.ones((20, 20), dtype=bool), Ordered(0.5))
+    np.testing.assert_array_equal(ordered_distances(own, flipped, 20, Ordered(0.5)), whole)
+    short = ordered_distances(own, flipped, 4, Ordered(0.5))
+    near = short == whole
+    assert (near.sum(1) >= 4).all() and not near.all()
+    assert all(row[listed].max() < row[~listed].min() for row, listed in zip(short, near, strict=True))
 
 
 def test_runs_on_a_folder_and_refuses_an_empty_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Height functions of closed outlines: how far every other point lies to the left of a point's tangent.
+"""Height functions of closed outlines: how far every other point lies beside a point's tangent, and on which side.
 
 Wang, Bai, You, Liu, Latecki: Shape matching and classification using height functions, Pattern Recognition Letters
 2012. Beside shape contexts they tell outlines apart that bend or stretch; they need a closed outline in order, which a
