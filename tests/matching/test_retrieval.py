@@ -130,6 +130,14 @@ def test_costs_are_hellingers_and_what_heights_weigh() -> None:
     torch.testing.assert_close(shapes.heights, 2 * lighter.heights)
 
 
+def test_a_mirrored_outline_is_the_same_shape() -> None:
+    seen = outline(silhouettes(2, 1)[1][1], 60)
+    pair = [seen, mirrored(seen)]
+    own, flipped = described(pair, 1.0), described(pair[::-1], 1.0)
+    both = np.ones((2, 2), dtype=bool)
+    assert aligned(own, flipped, both, Ordered(0.5))[0, 1] < 1e-3 < 0.05 < aligned(own, own, both, Ordered(0.5))[0, 1]
+
+
 def test_the_shortlist_is_compared_with_all_points_and_stands_first() -> None:
     outlines = [outline(image, 60) for _, image in silhouettes(4, 5, seed=3)]
     own, flipped = described(outlines, 1.0), described([mirrored(o) for o in outlines], 1.0)
