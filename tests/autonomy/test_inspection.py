@@ -1,8 +1,5 @@
 """The inspection of a calyx: views are weighed while it stands, taken up, held, and ended where none shows more."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from conftest import later
 
@@ -68,11 +65,13 @@ def test_a_view_that_cannot_be_reached_is_left_after_a_while(begun, at_root) -> 
     assert inspection.step(later(seen, 4.2), T, 0, 0.5).is_still
 
 
-def test_going_on_keeps_the_time_and_another_calyx_begins_anew(begun, at_root) -> None:
-    inspection = begun(None)
-    inspection.begin(replace(at_root, t_s=9.0))
-    assert inspection.begun_s == at_root.t_s
+def test_only_its_own_time_counts(begun, at_root) -> None:
+    """Who lets go of the button for half a minute has not looked at the calyx for half a minute."""
+    inspection, T, seen = begun(None), at_root.T_kidney_camera, at_root
+    for _ in range(3):
+        inspection.step(seen := later(seen, 0.1), T, 0, 0.5)
+    inspection.begin(seen := later(seen, 30.0))
+    inspection.step(later(seen, 0.1), T, 0, 0.5)
+    assert inspection.lasted_s == pytest.approx(0.4)
     inspection.reset()
-    assert inspection.begun_s is None
-    inspection.begin(replace(at_root, t_s=9.0))
-    assert inspection.begun_s == 9.0 and np.isfinite(inspection.begun_s)
+    assert inspection.lasted_s == 0.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ursnav_torch.autonomy import AutonomySettings, Perception, State, Wish
-from ursnav_torch.devices import Gamepad, OperatorInput, Stamp
+from ursnav_torch.devices import Frame, Gamepad, OperatorInput, Stamp
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.navigation.autopilot import Autopilot, glare_share, make_autopilot
@@ -137,10 +137,11 @@ def test_glare_is_the_share_of_white():
     assert glare_share(np.stack([image, image, np.zeros_like(image)], axis=2)) == 0.0
 
 
-def test_stones_that_navigation_tells_of_reach_the_explorer(rig, phantom, phantom_lumen, lens, vid):
+def test_stones_and_when_the_place_was_seen_reach_the_explorer(rig, phantom, phantom_lumen, lens, vid):
     _, robot, hands, _ = rig
     stone = FoundStone(1, 0, np.zeros(3), np.eye(3), 4.0, 0.4, 9, 0.99, THERE, 0)
-    state = NavigationState(guidance=Guidance(stones=StoneList((stone,), ("",), (), False)))
+    frame = Frame(Stamp(7, 9.0, 9.0), np.zeros((8, 8), np.uint8))  # a pose of this picture was only expected
+    state = NavigationState(frame=frame, seen_s=4.0, guidance=Guidance(stones=StoneList((stone,), ("",), (), False)))
     guide = SimpleNamespace(coverage=Coverage(phantom, lens, phantom_lumen, vid.T_kidney_camera), limits=ScopeLimits())
     navigator = SimpleNamespace(
         guide=guide, tracker=SimpleNamespace(lumen=phantom_lumen), vid=vid,
@@ -148,10 +149,10 @@ def test_stones_that_navigation_tells_of_reach_the_explorer(rig, phantom, phanto
     )  # fmt: skip
     pilot = make_autopilot(navigator, hands, SimpleNamespace(robot=robot, clock=None), AutonomySettings(), False)
     told = []
-    pilot.explorer.step = lambda seen, may: told.append(seen.stones) or Wish()
+    pilot.explorer.step = lambda seen, may: told.append((seen.stones, seen.seen_s)) or Wish()
     pilot.connect()
     pilot.read()
-    assert told == [(stone,)]
+    assert told == [((stone,), 4.0)]
 
 
 def test_who_looks_is_told_the_calyx_that_it_heads_for(rig, phantom, phantom_lumen, lens, vid):

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from flights import hover
 
-from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp
+from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp, TrackerSample
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.search import VIDEO_SEARCH, default_matching
 from ursnav_torch.session import Player, Recorder, Replay, Result
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import Tracker
 
 
@@ -267,3 +268,69 @@ def test_at_the_end_of_a_record_a_page_may_go_back(record):
     player.seek(0.9)
     assert next(events).stamp.sequence >= 27
     player.stop()
+
+
+def test_since_when_a_pose_is_only_expected_is_told(navigator, vid, renderer):
+    """Autonomy stops by it: a track that goes on through pictures of nothing has a pose, and has seen none."""
+    with navigator:
+        for frame, _ in frames(vid, renderer, pictures=8):
+            navigator.take(frame)
+            assert navigator.wait()
+        seen = navigator.bus.latest()
+        assert seen.tracking == "tracking" and seen.seen_s == frame.stamp.t_mono_s
+        at = Stamp(8, frame.stamp.t_mono_s + 0.1, frame.stamp.t_wall_s + 0.1)
+        navigator.take(Frame(at, np.zeros_like(frame.image)))
+        assert navigator.wait()
+        bridged = navigator.bus.latest()
+    assert bridged.T_kidney_camera is not None and bridged.frame.stamp == at and bridged.seen_s == seen.seen_s
+
+
+class Heard:
+    """A tracker that keeps what it is asked to follow."""
+
+    def __init__(self, tracker):
+        self.asked, self._tracker = [], tracker
+
+    def __getattr__(self, name):
+        return getattr(self._tracker, name)
+
+    def reset(self):
+        self.asked.append("reset")
+        self._tracker.reset()
+
+    def follow(self, features, t_s, sensor, start, odometry, image):
+        self.asked.append((t_s, sensor, odometry))
+        return self._tracker.follow(features, t_s, sensor, start, odometry, image)
+
+
+@pytest.fixture
+def heard(tracker):
+    tracker.reset()
+    return Heard(tracker)
+
+
+def test_a_silent_device_says_nothing_of_later_pictures(heard, vid, renderer):
+    image = next(frames(vid, renderer, pictures=1))[0].image
+    said = SensorReading(np.zeros(3), np.zeros(3), 1.0)
+    with Navigator(heard, sensor=lambda sample: said) as live:
+        live.take(TrackerSample(Stamp(0, 10.0, 10.0), True, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        live.take(RobotSample(Stamp(0, 10.0, 10.0), Joints(5.0, 0.0, 0.0), False, "armed"))
+        for n, t_s in enumerate((10.1, 10.4, 10.6)):
+            live.take(Frame(Stamp(n, t_s, t_s), image))
+            assert live.wait()
+    assert [(sensor is said, odometry is not None) for _, sensor, odometry in heard.asked] == [
+        (True, True), (True, True), (False, False),
+    ]  # fmt: skip
+
+
+def test_after_a_seek_pictures_and_words_from_before_it_are_gone(heard, vid, renderer):
+    image = next(frames(vid, renderer, pictures=1))[0].image
+    live = Navigator(heard)
+    live.take(RobotSample(Stamp(0, 60.0, 60.0), Joints(80.0, 0.0, 0.0), False, "armed"))
+    live.take(Frame(Stamp(0, 60.0, 60.0), image))  # waits: nobody locates yet
+    live.forget_place()
+    with live:
+        assert live.wait()
+        live.take(Frame(Stamp(1, 10.0, 10.0), image))
+        assert live.wait()
+    assert heard.asked == ["reset", (10.0, None, None)]

@@ -21,6 +21,7 @@ from ursnav_torch.devices import (
     RobotLight,
     RobotSample,
     SourceAtEndError,
+    Stamp,
     TrackerSample,
 )
 from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, InputError
@@ -38,6 +39,7 @@ from ursnav_torch.session import (
     open_session,
     run_session,
 )
+from ursnav_torch.session.live import snapshot_of
 from ursnav_torch.simulation import SimulatedGrblRobot, SimulatedOpenIgtlTracker, Twin, TwinCamera, World
 
 NOISE = np.random.default_rng(0).integers(0, 60, (250, 250), dtype=np.uint8)
@@ -303,3 +305,11 @@ def test_the_status_line_tells_how_it_goes():
     text = status.text(status._begun_s + 61)
     assert text.startswith("61 s, ") and "EM samples, armed, bend" in text and text.endswith("mm")
     assert stream.getvalue() == ""  # not yet ten seconds
+
+
+@pytest.mark.parametrize(("silent_s", "belongs"), [(0.1, True), (2.9, False)])
+def test_a_snapshot_leaves_out_what_a_device_said_before_it_fell_silent(silent_s, belongs):
+    frame = Frame(Stamp(3, 10.0, 10.0), np.zeros((4, 4), np.uint8))
+    tracker = TrackerSample(Stamp(1, 10.0 - silent_s, 10.0), True, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0))
+    taken = snapshot_of(Stamp(0, 10.1, 10.1), {Frame: frame, TrackerSample: tracker})
+    assert taken.frame is frame and taken.robot is None and (taken.tracker is tracker) is belongs

@@ -52,6 +52,8 @@ def test_fragments_are_counted_a_calyx_and_not_listed(phantom: Kidney, tmp_path:
         f"Stones and fragments above 2 mm: {name} 1.",
         f"Fragments up to 2 mm: {name} 2, {other} 1.",
     ]
+    larger = stone_sentences(stones, replace(phantom, scale=1.8))
+    assert larger[1].startswith("Fragments up to 3.6 mm") and "above" not in " ".join(larger), "sizes are this kidney's"
     write_stones(tmp_path / "t.csv", stones, phantom)
     assert [row["stone"] for row in read_csv(tmp_path / "t.csv", STONE_COLUMNS, "stones")] == ["2"]
 

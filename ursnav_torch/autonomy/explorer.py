@@ -319,11 +319,11 @@ class Explorer:
 
     def _inspect(self, seen: Perception, T: Array) -> Wish:
         """Turn to the wall that was not seen, until enough was, or no view shows more."""
-        s, share, begun_s = self.settings, self._share(self.target), self._inspection.begun_s
+        s, share = self.settings, self._share(self.target)
         if share >= s.done_share:
             self._close(seen, "")
             return Wish()
-        if begun_s is not None and seen.t_s - begun_s > s.inspect_s:
+        if self._inspection.lasted_s > s.inspect_s:
             self._close(seen, "the rest was not seen in time")
             return Wish()
         wish = self._inspection.step(seen, T, self.target, s.done_share - share)

@@ -27,7 +27,7 @@ class Inspection:
         settings: lengths in mm of this kidney.
 
     Attributes:
-        begun_s: when the calyx's inspection began; None before it did.
+        lasted_s: how long the calyx has been inspected; nothing counts between its stretches.
     """
 
     def __init__(self, planner: ViewPlanner, steering: Steering, settings: AutonomySettings) -> None:
@@ -36,12 +36,12 @@ class Inspection:
 
     def reset(self) -> None:
         """Another calyx, or this one as if it had never been looked at."""
-        self.begun_s: float | None = None
+        self.lasted_s, self._at_s = 0.0, 0.0
         self._forget()
 
     def begin(self, seen: Perception) -> None:
         """Begin to inspect from here, or go on with it."""
-        self.begun_s = seen.t_s if self.begun_s is None else self.begun_s
+        self._at_s = seen.t_s
         self._forget()
 
     def _forget(self) -> None:
@@ -55,6 +55,7 @@ class Inspection:
 
         Still while views are weighed.
         """
+        self.lasted_s, self._at_s = self.lasted_s + seen.t_s - self._at_s, seen.t_s
         if self._view is not None:
             return self._go_to(self._view, seen, T)
         if self._weighed is None:

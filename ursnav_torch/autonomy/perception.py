@@ -17,7 +17,7 @@ class Perception:
     Attributes:
         t_s: now.
         T_kidney_camera: (4, 4) the newest pose that was believed; None while there is none.
-        seen_s: when its picture was taken.
+        seen_s: when the last picture was taken that showed it; since then it is only expected.
         calyces: indices of the calyces that this picture may show; empty where it shows none.
         position_sd_mm: how far off the position may be, two of three times; None where nobody says.
         bend_rad: (2,) the bend about x and y that the robot reports.

@@ -119,7 +119,7 @@ def make_autopilot(
         return Perception(
             clock(),
             state.T_kidney_camera,
-            frame.stamp.t_mono_s if frame is not None else 0.0,
+            state.seen_s,
             tuple(names[name] for name in state.calyces if name in names),
             state.position_sd_mm,
             np.array([at.bend_x_rad, at.bend_y_rad]),

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from ursnav_torch.vid import Vid, pose_cells
 
 Array = NDArray[np.float64]
 Sensor = Callable[[TrackerSample], SensorReading | None]
+Telling = TypeVar("Telling")
 logger = logging.getLogger(__name__)
 
 #: Pictures whose latency is remembered for `Navigator.latencies`; and seconds between lines in the log.
@@ -42,18 +43,21 @@ REMEMBERED, LOG_S = 20_000, 10.0
 GUIDE_S = 0.1
 #: A pose older than this is said to be old.
 STALE_S = 2.0
+#: What devices told longer than this before a picture says nothing of it, as of a recording (`runs.sources`).
+DEVICE_GAP_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A picture to be located: its number among those given, when it was captured by this machine's clock, and the
-    newest EM reading and report of the robot before it."""
+    """A picture to be located: its number among those given, when it was captured by this machine's clock, the newest
+    EM reading and report of the robot before it, and how often the place had been forgotten when it came."""
 
     number: int
     frame: Frame
     captured_s: float
     sensor: SensorReading | None
     odometry: OdometryReading | None
+    epoch: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,18 @@ class _Seen:
     job: _Job
     features: Features | None
     features_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Told(Generic[Telling]):
+    """What a device told last, if anything, and when."""
+
+    what: Telling | None = None
+    at_s: float = -np.inf
+
+    def at(self, t_s: float) -> Telling | None:
+        """What it says of a picture taken at a time; nothing when it has been silent for long."""
+        return self.what if t_s - self.at_s <= DEVICE_GAP_S else None
 
 
 class Navigator:
@@ -99,13 +115,13 @@ class Navigator:
         self._jobs: Newest[_Job] = Newest()
         self._seen: Newest[_Seen] = Newest()
         self._answers: Newest[tuple[Tracked, Frame]] = Newest()
-        self._reading: SensorReading | None = None
-        self._joints: OdometryReading | None = None
+        self._reading: _Told[SensorReading] = _Told()
+        self._joints: _Told[OdometryReading] = _Told()
         self._told_coverage = ""
         self._results: deque[Result] = deque(maxlen=1000)
         self._stamp, self._done, self._end = Stamper(), threading.Condition(), threading.Event()
         self._given = self._finished = 0
-        self._forget = self._choose_again = self._failing = False
+        self._epoch, self._choose_again, self._failing = 0, False, False
         self._logged_s, self._published_s, self._painting_s = time.monotonic(), 0.0, 0.0
         self._seen_from: Array | None = None
         self._counted_s: float | None = None
@@ -133,12 +149,14 @@ class Navigator:
             self._given += 1
             image = self._whole.put_back(event.image)
             frame = event if image is event.image else replace(event, image=image)
-            self._jobs.put(_Job(self._given, frame, captured, self._reading, self._joints))
+            told = (of.at(event.stamp.t_mono_s) for of in (self._reading, self._joints))
+            self._jobs.put(_Job(self._given, frame, captured, *told, self._epoch))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
-            self._reading = self._sensor(event)
+            self._reading = _Told(self._sensor(event), event.stamp.t_mono_s)
         elif isinstance(event, RobotSample):
             at, known = event.joints, event.place_known
-            self._joints = OdometryReading(at.insertion_mm, at.bend_x_rad, at.bend_y_rad) if known else None
+            joints = OdometryReading(at.insertion_mm, at.bend_x_rad, at.bend_y_rad) if known else None
+            self._joints = _Told(joints, event.stamp.t_mono_s)
             if event.state != self.bus.latest().robot:
                 self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
         elif isinstance(event, Note) and event.level != "info":
@@ -171,8 +189,9 @@ class Navigator:
         self.bus.update(lambda state: _worded(replace(state, autonomy=text)))
 
     def forget_place(self) -> None:
-        """The next picture may be from anywhere: a replay was moved."""
-        self._forget = True
+        """The next picture may be from anywhere: a replay was moved. Those that still wait are not located."""
+        self._reading, self._joints = _Told(), _Told()
+        self._epoch += 1
 
     def __enter__(self) -> Self:
         self._end.clear()
@@ -208,14 +227,18 @@ class Navigator:
 
     def _track(self) -> None:
         """Locate the newest picture with features, publish, again."""
+        epoch = 0
         while not self._end.is_set():
             seen = self._seen.take(0.2)
             if seen is None:
                 continue
-            if self._forget:
-                self._forget = False
-                self.tracker.reset()
             job, begun = seen.job, time.monotonic()
+            if job.epoch != self._epoch:
+                self._finish(job)
+                continue
+            if job.epoch != epoch:
+                epoch = job.epoch
+                self.tracker.reset()
             try:
                 t_s = job.frame.stamp.t_mono_s
                 tracked = self.tracker.follow(seen.features, t_s, job.sensor, None, job.odometry, job.frame.image)
@@ -253,6 +276,7 @@ class Navigator:
         """Put a picture's pose on the bus and its row among the results."""
         job = seen.job
         certain = tracked.state == TRACKING  # what is only searched about is on the record, not before the operator
+        is_seen, t_s = _believed(tracked) is not None, job.frame.stamp.t_mono_s
         T, names = tracked.T_kidney_camera if certain else None, _names(tracked, self.vid)
         if T is not None:
             self._trail.add(T[:3, 3])
@@ -269,6 +293,7 @@ class Navigator:
                     slack_mm=self.tracker.slider_play_mm,
                     tracking=tracked.state,
                     T_kidney_camera=T,
+                    seen_s=t_s if is_seen else state.seen_s,
                     calyx=self.vid.calyx_name(tracked.calyx) if certain else "",
                     calyces=names,
                     confidence=float(tracked.confidence),

@@ -68,6 +68,7 @@ class NavigationState:
         edges: the picture's edge points; None where it showed too few, or nobody draws them.
         tracking: ``tracking``, ``searching`` or ``lost``.
         T_kidney_camera: (4, 4), or None unless tracking.
+        seen_s: when the last picture was taken that showed where the scope is; later poses are only expected.
         calyx: name of the calyx observed; blank for none.
         calyces: names of those that it may be, the observed one first.
         confidence: probability that this is right.
@@ -92,6 +93,7 @@ class NavigationState:
     edges: EdgePoints | None = None
     tracking: str = SEARCHING
     T_kidney_camera: Array | None = None
+    seen_s: float = -np.inf
     calyx: str = ""
     calyces: tuple[str, ...] = ()
     confidence: float = 0.0

@@ -4,10 +4,10 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from ursnav_torch.devices import Device, Frame, Note, OperatorInput, RobotSample, Stamper, TrackerSample
+from ursnav_torch.devices import Device, Frame, Note, OperatorInput, RobotSample, Stamp, Stamper, TrackerSample
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Snapshot
 from ursnav_torch.session.rig import Rig
@@ -16,6 +16,8 @@ from ursnav_torch.session.supervise import Supervisor
 
 CONTROL_HZ = 50.0
 CATCH_UP_S = 0.1  # cycles that a busy machine delayed are made up for, up to this long ago
+#: What a device told within this time of a picture belongs to it.
+TOGETHER_S = 0.5
 
 
 class Live:
@@ -76,8 +78,7 @@ class Live:
                 yield event
                 if isinstance(event, OperatorInput):
                     if event.snapshot:
-                        samples = (latest.get(kind) for kind in (Frame, TrackerSample, RobotSample))
-                        yield Snapshot(self._snapshot(), *samples)
+                        yield snapshot_of(self._snapshot(), latest)
                     if event.quit:
                         self._end.set()
         finally:
@@ -150,3 +151,14 @@ class Live:
             self._supervisor.run(control.gamepad, cycle)
         finally:
             self._disarm()
+
+
+def snapshot_of(stamp: Stamp, latest: Mapping[type[Any], Any]) -> Snapshot:
+    """A snapshot of the latest event of each kind: the picture, and what was told about when it was taken.
+
+    What a device said before it fell silent is left out, as `TOGETHER_S` has it.
+    """
+    frame: Frame | None = latest.get(Frame)
+    at_s = stamp.t_mono_s if frame is None else frame.stamp.t_mono_s
+    said = (latest.get(kind) for kind in (TrackerSample, RobotSample))
+    return Snapshot(stamp, frame, *(s if s and abs(s.stamp.t_mono_s - at_s) <= TOGETHER_S else None for s in said))

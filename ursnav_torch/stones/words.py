@@ -25,11 +25,11 @@ def stone_sentences(stones: StoneList, kidney: Kidney) -> list[str]:
     if stones.not_found:
         lines.append("Known from the scan, not found yet: " + ", ".join(
             f"{k.name} of {k.size_mm:.1f} mm" for k in stones.not_found) + ".")  # fmt: skip
-    left = residual_fragments(there, kidney)
+    left, residual_mm = residual_fragments(there, kidney), RESIDUAL_MM * kidney.scale
     if left:
-        lines.append(f"Stones and fragments above {RESIDUAL_MM:g} mm: {_counted(left)}.")
+        lines.append(f"Stones and fragments above {residual_mm:g} mm: {_counted(left)}.")
     if stones.fragments:
-        lines.append(f"Fragments up to {RESIDUAL_MM:g} mm: {_counted(_by_calyx(stones.fragments, kidney))}.")
+        lines.append(f"Fragments up to {residual_mm:g} mm: {_counted(_by_calyx(stones.fragments, kidney))}.")
     return lines
 
 
