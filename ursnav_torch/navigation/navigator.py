@@ -149,14 +149,15 @@ class Navigator:
             self._given += 1
             image = self._whole.put_back(event.image)
             frame = event if image is event.image else replace(event, image=image)
-            told = (of.at(event.stamp.t_mono_s) for of in (self._reading, self._joints))
-            self._jobs.put(_Job(self._given, frame, captured, *told, self._epoch))
+            t_s = event.stamp.t_mono_s
+            told, joints = self._reading.at(t_s), self._joints.at(t_s)
+            self._jobs.put(_Job(self._given, frame, captured, told, joints, self._epoch))
         elif isinstance(event, TrackerSample) and self._sensor is not None:
             self._reading = _Told(self._sensor(event), event.stamp.t_mono_s)
         elif isinstance(event, RobotSample):
             at, known = event.joints, event.place_known
-            joints = OdometryReading(at.insertion_mm, at.bend_x_rad, at.bend_y_rad) if known else None
-            self._joints = _Told(joints, event.stamp.t_mono_s)
+            said = OdometryReading(at.insertion_mm, at.bend_x_rad, at.bend_y_rad) if known else None
+            self._joints = _Told(said, event.stamp.t_mono_s)
             if event.state != self.bus.latest().robot:
                 self.bus.update(lambda state: _worded(replace(state, robot=event.state)))
         elif isinstance(event, Note) and event.level != "info":
@@ -276,7 +277,6 @@ class Navigator:
         """Put a picture's pose on the bus and its row among the results."""
         job = seen.job
         certain = tracked.state == TRACKING  # what is only searched about is on the record, not before the operator
-        is_seen, t_s = _believed(tracked) is not None, job.frame.stamp.t_mono_s
         T, names = tracked.T_kidney_camera if certain else None, _names(tracked, self.vid)
         if T is not None:
             self._trail.add(T[:3, 3])
@@ -291,9 +291,8 @@ class Navigator:
                     frame=job.frame,
                     **_shown(seen.features, tracked),
                     slack_mm=self.tracker.slider_play_mm,
-                    tracking=tracked.state,
                     T_kidney_camera=T,
-                    seen_s=t_s if is_seen else state.seen_s,
+                    seen_s=state.seen_s if _believed(tracked) is None else job.frame.stamp.t_mono_s,
                     calyx=self.vid.calyx_name(tracked.calyx) if certain else "",
                     calyces=names,
                     confidence=float(tracked.confidence),
@@ -384,10 +383,11 @@ def _believed(tracked: Tracked) -> Array | None:
 
 
 def _shown(features: Features | None, tracked: Tracked) -> dict[str, Any]:
-    """What of a picture and its answer is only looked at."""
+    """What of a picture and its answer is told as it is."""
     return {
         "edges": features.edges if features is not None and len(features.edges) else None,
         "bodies": features.bodies if features is not None else (),
+        "tracking": tracked.state,
         "position_sd_mm": tracked.position_sd_mm,
         "places": tracked.places if tracked.places is not None else np.zeros((0, 4)),
     }
