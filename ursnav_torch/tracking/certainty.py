@@ -31,9 +31,9 @@ class TrackCertaintySettings:
     Attributes:
         set_probability: with which they hold the right one.
         largest_mm: a region that holds the position with 90 % and reaches farther than this from the pose is no place.
-            Where a place more than 3 mm off counts as 3.3 that are missing, 3, 4, 5 and 6 mm are worth 94.1, 95.3, 94.8
-            and 94.1 % of the choosing flights' poses without a robot's word, and 97.4, 98.2, 97.7 and 97.8 % with it,
-            each phantom's errors told by the others' weights (`benchmarks.flights half=choosing fit=true`).
+            Where a place more than 3 mm off counts as 3.3 that are missing, 3, 4, 5 and 6 mm are worth 94.9, 95.4, 94.3
+            and 93.9 % of the choosing flights' poses without a robot's word, and 97.6, 97.9, 97.8 and 97.8 % with it,
+            each phantom's errors told by the others' weights (`benchmarks.flights phantoms=16 half=choosing fit=true`).
     """
 
     set_probability: float = 0.95
