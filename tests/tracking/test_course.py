@@ -7,11 +7,12 @@ import pytest
 
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.tracking.course import Course
+from ursnav_torch.tracking.robot.odometry import Carried
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 
 HERE = np.eye(4)
-FAR = transform_from(np.eye(3), np.array([8.0, 0.0, 0.0]))
+FAR, ASIDE = (transform_from(np.eye(3), np.array(at)) for at in ([8.0, 0.0, 0.0], [0.0, 8.0, 0.0]))
 
 
 def settled() -> Course:
@@ -48,8 +49,25 @@ def test_what_fits_or_was_foreseen_is_followed_at_once(score, told, goes, leapt)
 def test_after_a_second_of_coasting_it_goes_where_pictures_say_and_a_bad_one_leaps(score, leapt) -> None:
     course = settled()
     for n in range(10):
-        assert follow(course, 1.1 + n / 10, score) == (False, False) and course.coasts
+        T, leaps = course.follow((FAR, ASIDE)[n % 2], score, 1.1 + n / 10, None, (HERE,))
+        assert np.linalg.norm(T[:3, 3]) < 1.0 and not leaps and course.coasts
     assert follow(course, 2.2, score) == (True, leapt) and not course.coasts
+
+
+@pytest.mark.parametrize(("score", "believed"), [(0.7, True), (0.5, True), (0.4, False)])
+def test_alignments_that_follow_each_other_are_believed_sooner_and_are_no_leap(score, believed) -> None:
+    """A tip that its play has let go, or a track that had slipped: all pictures say where it is now."""
+    course = settled()
+    assert [follow(course, 1.1 + n / 10, score) for n in range(3)] == [(False, False)] * 3 and course.coasts
+    assert follow(course, 1.4, score) == (believed, False) and course.coasts is not believed
+
+
+def test_alignments_that_stand_while_the_robot_moves_do_not_follow_each_other() -> None:
+    course, ahead = settled(), transform_from(np.eye(3), np.array([0.0, 0.0, 5.0]))
+    for n in range(5):
+        here = course.predict(1.1 + n / 10, Carried(ahead, 0.1, 0.01, 0.1))
+        assert here is not None and follow(course, 1.1 + n / 10, 0.6, (here,)) == (False, False)
+    assert course.coasts
 
 
 def test_a_sensor_is_heard_while_it_coasts() -> None:

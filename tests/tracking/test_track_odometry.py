@@ -64,7 +64,7 @@ def test_a_track_coasts_on_the_robots_word_past_pictures_of_where_it_was_not_dri
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer
 ) -> None:
     """Pictures show another place while the robot stands: for a second that is no place; then it is the track's."""
-    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1))
+    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0))
     tracker, way, far = Tracker(vid, wary), flight(phantom, 2), flight(phantom, 5)[-1]
     pictures = [renderer.render(T).image for T in [*way, *[way[-1]] * 5, *[far] * 20]]
     told = [OdometryReading(0.8 * min(i, len(way) - 1)) for i in range(len(pictures))]
@@ -82,7 +82,9 @@ def test_a_track_coasts_on_the_robots_word_past_pictures_of_where_it_was_not_dri
 def test_pictures_that_are_coasted_past_teach_nothing(
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1), filter=FilterSettings(every_s=0.0))
+    wary = TrackSettings(
+        challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0), filter=FilterSettings(every_s=0.0)
+    )
     tracker, way, taught = Tracker(vid, wary), flight(phantom, 2), []
     told_of(tracker, renderer, way)
     for part, name in ((tracker._robot, "learn"), (tracker._robot, "mark"), (tracker._pattern, "learn")):

@@ -1,6 +1,7 @@
 """The course of a track: its pose, smoothed, and whether an alignment far from where motion leads is believed.
 
-Where a robot tells of the motion a single such picture is not: the track coasts on the robot's word for a while.
+Where a robot tells of the motion a single such picture is not: the track coasts on the robot's word for a while, or
+until pictures agree with each other for long enough.
 """
 
 import numpy as np
@@ -30,6 +31,9 @@ class Course:
         """Forget it."""
         self._smooth.reset()
         self._coasts_s: float | None = None  # since when alignments are not believed
+        self._carried = np.eye(4)  # the robot's last word
+        self._elsewhere: Array | None = None  # the last alignment that was not believed,
+        self._persists_s = 0.0  # and since when they have followed each other
 
     @property
     def coasts(self) -> bool:
@@ -42,6 +46,7 @@ class Course:
 
     def predict(self, t_s: float, carried: Carried | None = None) -> Array | None:
         """See `PoseFilter.predict`."""
+        self._carried = np.eye(4) if carried is None else carried.T_before_now
         return self._smooth.predict(t_s, carried)
 
     def follow(
@@ -68,8 +73,8 @@ class Course:
             if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected, False
             self._smooth.reset()
-            leapt = not foreseen and score < s.challenge_below
-        self._coasts_s = None
+            leapt = not foreseen and score < s.challenge_below and not self._persists(t_s)
+        self._coasts_s = self._elsewhere = None
         return self._measured(self._smooth.update(T, t_s, score), sensor), leapt
 
     def _measured(self, T: Array, sensor: SensorReading | None) -> Array:
@@ -87,7 +92,14 @@ class Course:
         if score >= (s.coast_below if away else s.challenge_below):
             return False
         self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
-        return t_s - self._coasts_s < s.coast_s
+        before, self._elsewhere = self._elsewhere, T
+        if before is None or score < s.leap_above or not self._near((before @ self._carried)[None], T)[0]:
+            self._persists_s = t_s
+        return t_s - self._coasts_s < s.coast_s and not self._persists(t_s)
+
+    def _persists(self, t_s: float) -> bool:
+        """Whether alignments that were not believed have followed each other for long enough to be."""
+        return self._elsewhere is not None and t_s - self._persists_s >= self._settings.challenger.persist_s
 
     def _near(self, T_a: Array, T_b: Array) -> NDArray[np.bool_]:
         """Which poses (K, 4, 4) are one place with another."""
