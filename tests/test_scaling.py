@@ -11,16 +11,18 @@ import ursnav_torch
 from ursnav_torch.alignment import RefinementSettings
 from ursnav_torch.exploration.coverage import CoverageSettings
 from ursnav_torch.exploration.route import ScopeLimits
-from ursnav_torch.scaling import LENGTH_ENDINGS, scaled
+from ursnav_torch.scaling import LENGTH_ENDINGS, NO_ANATOMY, scaled
 from ursnav_torch.simulation.flight import FlightSettings
 from ursnav_torch.tracking.settings import TrackSettings
 from ursnav_torch.vid import PlanSettings
 
 
 def numbers(settings: Any, prefix: str = "") -> dict[str, Any]:
-    """Every field, those of settings inside by their path."""
+    """Every field that is not a device's, those of settings inside by their path."""
     found: dict[str, Any] = {}
     for field in fields(settings):
+        if field.metadata == NO_ANATOMY:
+            continue
         value = getattr(settings, field.name)
         inside = is_dataclass(value) and not isinstance(value, type)
         found |= numbers(value, f"{field.name}.") if inside else {prefix + field.name: value}

@@ -26,6 +26,9 @@ class Told:
         self.answer = None if T_kidney_camera is None else Relocated(T_kidney_camera, 1e-3)
         self.asked = 0
 
+    def look_through(self, scene: np.ndarray | None) -> None:
+        """Whatever of a picture is shown, the answer is the same."""
+
     def locate(self, image: np.ndarray, seen: Features) -> Relocated | None:
         self.asked += 1
         return self.answer
@@ -64,6 +67,25 @@ def test_what_the_track_knows_to_be_no_wall_is_left_out(vid: Vid, picture: np.nd
     relocalizer.locate(picture, seen)
     assert not asked[0].valid[:20].any() and asked[0].valid[30:].any()
     assert not asked[1].valid.numel() or asked[1].valid[:20].any()
+
+
+def test_who_is_asked_looks_through_what_the_track_looks_through(vid: Vid, picture: np.ndarray) -> None:
+    tracker, lens = Tracker(vid), vid.camera.pixel_rays()[1]
+    asked = tracker._relocalizer
+    assert asked is not None
+    whole, upper, left = asked._localizer.features(picture), lens.copy(), lens.copy()
+    upper[len(upper) // 2 :], left[:, left.shape[1] // 2 :] = False, False
+    tracker.narrow(upper)
+    cut = asked._localizer.features(picture)
+    assert cut.valid.numel() and not cut.valid[len(cut.valid) // 2 + 3 :].any() and whole.valid.shape != cut.valid.shape
+    tracker._reader.scene = left
+    tracker.step(picture, 0.0)
+    both = asked._localizer.features(picture)
+    assert both.valid.sum() < 0.7 * cut.valid.sum()
+    tracker._reader.scene = None
+    tracker.step(picture, 0.1)
+    again = asked._localizer.features(picture)
+    assert torch.equal(again.valid, cut.valid), "what is found meanwhile may be found otherwise"
 
 
 def test_a_track_asks_until_it_has_a_place_and_no_more(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:

@@ -178,6 +178,8 @@ def test_confidence_is_what_the_hypotheses_say_of_the_calyx(
     unsure = fresh.step(renderer.render(poses[-1]).image, len(poses) / 10 + fresh.settings.filter.every_s)
     assert sure.confidence > 0.9 and unsure.state == TRACKING and unsure.calyx == sure.calyx == 2
     assert unsure.confidence == pytest.approx(0.5, abs=0.05)
+    black = fresh.step(np.zeros_like(renderer.render(poses[-1]).image), len(poses) / 10 + 0.4)
+    assert black.T_kidney_camera is not None and 0.3 < black.confidence < 0.5, "nobody is surer of what is not seen"
 
 
 @pytest.mark.slow

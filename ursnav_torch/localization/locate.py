@@ -194,7 +194,7 @@ class Localizer:
         """From now on pictures show the scene in a part (H, W) of the lens alone, see `features.scene_of`."""
         if isinstance(self._extractor, DefaultExtractor):
             self._extractor = self._extractor.through(scene)
-            self._scenes.append(scene)
+            self._scenes = [*self._scenes, scene]  # a copy that is narrowed leaves the whole one as it is
 
     def again(self) -> "Again":
         """How another process makes the same localizer, from the folder of the VID."""

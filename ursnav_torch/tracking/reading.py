@@ -32,16 +32,18 @@ class TrackReader:
 
     Attributes:
         working_camera: the lens in which features give their fields.
+        scene: (H, W) the part of the lens that shows the scene, where some was found never to change; else None.
     """
 
     def __init__(self, settings: DefaultSettings, camera: Camera, learned: float | None) -> None:
         self._camera = camera
         self._whole = self._extractor = relief_extractor(settings, camera, learned)
         self.working_camera = self._extractor.working_camera
+        self.scene: NDArray[np.bool_] | None = None
         self.reset()
 
     def reset(self) -> None:
-        """Look anew for what never changes in the pictures."""
+        """Look anew for what never changes in the pictures; what was found before holds until then."""
         self._still = StillPixels(self._camera.pixel_rays()[1])
 
     @property
@@ -78,8 +80,8 @@ class TrackReader:
         if looked < _LOOKED_AT[-1] and image.shape[:2] == (self._camera.height, self._camera.width):
             self._still.add(image)
             if looked + 1 in _LOOKED_AT:
-                scene = self._still.scene()
-                self._extractor = self._whole if scene is None else self._whole.through(scene)
+                self.scene = self._still.scene()
+                self._extractor = self._whole if self.scene is None else self._whole.through(self.scene)
 
     def mapped(self, features: Features) -> Features:
         """Features with the maps that views are searched by."""

@@ -5,6 +5,7 @@ it reads the wall with the network, compares every view by shapes, too, verifies
 its time besides, so that only the pictures are asked that a track cannot place by itself.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,7 +55,20 @@ class Relocalizer:
     """Locates single pictures of a video in one VID, as `Localizer` does with its defaults."""
 
     def __init__(self, vid: Vid) -> None:
-        self._localizer = Localizer(vid)
+        self._whole = self._localizer = Localizer(vid)
+        self._scene: NDArray[np.bool_] | None = None
+
+    def narrow(self, scene: NDArray[np.bool_]) -> None:
+        """From now on pictures show the scene in a part (H, W) of the lens alone."""
+        self._whole.narrow(scene)
+        self._localizer, self._scene = self._whole, None
+
+    def look_through(self, scene: NDArray[np.bool_] | None) -> None:
+        """The next pictures show it in a part (H, W) of that, as was found meanwhile; in all of it when None."""
+        if scene is not self._scene:
+            self._scene, self._localizer = scene, copy(self._whole)
+            if scene is not None:
+                self._localizer.narrow(scene)
 
     def locate(self, image: NDArray[np.uint8], seen: Features) -> Relocated | None:
         """Where a picture (H, W) or (H, W, 3) was taken.

@@ -224,6 +224,8 @@ class Tracker:
     def narrow(self, scene: NDArray[np.bool_]) -> None:
         """From now on pictures show the scene in a part (H, W) of the lens alone."""
         self._reader.narrow(scene)
+        if self._relocalizer is not None:
+            self._relocalizer.narrow(scene)
 
     def follow(
         self,
@@ -358,6 +360,7 @@ class Tracker:
             sure, _ = self._certainty(picture.found, T, calyx, refined.score)
             if sure.region_mm <= self.settings.relocalization.above_mm:
                 return refined, None
+        self._relocalizer.look_through(self._reader.scene)
         found = self._relocalizer.locate(image, as_taken)
         if found is None:
             return refined, None
@@ -417,8 +420,9 @@ class Tracker:
         if T is None:
             return Tracked(self._state, None, -1, 0.0, np.nan, np.nan, time.perf_counter() - start)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
-        confidence = 0.5 ** ((t_s - self._seen_s) / self.settings.filter.bridge_s) / (1 + np.exp(-self._test.trust))
         away = t_s - self._seen_s
+        share = 1.0 if self._sure is None else float(self._sure.evidence.share[calyx])
+        confidence = 0.5 ** (away / self.settings.filter.bridge_s) * share / (1 + np.exp(-self._test.trust))
         mm, deg = self.settings.filter.drift_mm_s * away, self.settings.motion.turn_deg_s * away
         carried = self._robot.carried
         if carried is not None:

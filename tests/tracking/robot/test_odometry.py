@@ -67,7 +67,17 @@ def test_steps_add_up_and_so_does_what_is_not_known() -> None:
     turned = transform_from(Rotation.from_rotvec([0.5, 0, 0]).as_matrix(), [0.0, 0.0, 1.0])
     both = STILL.then(Carried(turned, 0.3, 0.1, 0.1)).then(Carried(turned, 0.4, 0.1, 0.2))
     np.testing.assert_allclose(both.T_before_now, turned @ turned, atol=1e-12)
-    assert both.sd_mm == pytest.approx(0.5) and both.seconds == pytest.approx(0.3)
+    assert both.sd_mm == pytest.approx(0.7) and both.sd_rad == pytest.approx(0.2)
+    assert both.seconds == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 30.0, 60.0])
+def test_what_is_not_known_after_a_second_does_not_depend_on_the_rate_of_pictures(rate_hz: float) -> None:
+    odometry, far = Odometry(OdometrySettings(insertion_plays_mm=(0.0,), bend_plays_deg=(0.0,))), STILL
+    odometry.carried(OdometryReading(0.0), 1 / rate_hz)
+    for n in range(round(rate_hz)):
+        far = far.then(odometry.carried(OdometryReading(4.0 * (n + 1) / rate_hz), 1 / rate_hz))
+    assert far.T_before_now[2, 3] == pytest.approx(4.0) and 2.4 < far.sd_mm < 3.2
 
 
 def test_a_smoothed_pose_goes_where_the_robot_carried_it() -> None:
@@ -80,9 +90,10 @@ def test_a_smoothed_pose_goes_where_the_robot_carried_it() -> None:
     np.testing.assert_allclose(moved, T @ step, atol=1e-9)
 
 
-def test_plays_may_come_as_lists_and_are_lengths_of_anatomy() -> None:
-    settings = scaled(OdometrySettings(insertion_plays_mm=[0, 1]), 1.8)  # type: ignore[arg-type]
-    assert settings.insertion_plays_mm == (0.0, 1.8) and settings.bend_plays_deg == OdometrySettings().bend_plays_deg
+def test_plays_may_come_as_lists_and_a_larger_kidney_enlarges_no_robot() -> None:
+    settings, own = scaled(OdometrySettings(insertion_plays_mm=[0, 1]), 1.8), OdometrySettings()  # type: ignore[arg-type]
+    assert settings.insertion_plays_mm == (0.0, 1.0) and settings.bend_plays_deg == own.bend_plays_deg
+    assert settings.length_mm == own.length_mm and settings.insertion_mm_s == pytest.approx(1.8 * own.insertion_mm_s)
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:

@@ -6,7 +6,7 @@ widths (multiple-model estimation, Blom and Bar-Shalom, IEEE TAC 33:780, 1988); 
 of them is believed, and how far they disagree is what odometry does not know.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import inverse, transform_from
 from ursnav_torch.kinematics import Segment
+from ursnav_torch.scaling import NO_ANATOMY
 
 Array = NDArray[np.float64]
 #: Standard deviations of steps that are seen: mm, and degrees.
@@ -45,21 +46,24 @@ class OdometrySettings:
     """How far the robot's word is believed.
 
     Attributes:
-        insertion_plays_mm, bend_plays_deg: widths of the plays in the banks; lengths are mm at the kidney's scale 1.
-        insertion_mm_s, bend_deg_s: standard deviation of the motion that no motor asked for: breathing, a hand.
+        insertion_plays_mm, bend_plays_deg: widths of the plays in the banks.
+        insertion_mm_s, bend_deg_s: standard deviation of the motion that no motor asked for: breathing, a hand; mm at
+            the kidney's scale 1.
         insertion_share, bend_share: of a reported step, that may go astray: buckling, walls.
         memory_s: what the pictures showed longer ago counts for less.
         length_mm: of the bending segment, from tip to base.
+
+    Plays and segment are the robot's own: a larger kidney does not enlarge them.
     """
 
-    insertion_plays_mm: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.5)
+    insertion_plays_mm: tuple[float, ...] = field(default=(0.0, 0.5, 1.0, 2.0, 3.5), metadata=NO_ANATOMY)
     bend_plays_deg: tuple[float, ...] = (0.0, 3.0, 6.0, 12.0, 20.0)
     insertion_mm_s: float = 2.0
     bend_deg_s: float = 10.0
     insertion_share: float = 0.35
     bend_share: float = 0.35
     memory_s: float = 10.0
-    length_mm: float = 20.0
+    length_mm: float = field(default=20.0, metadata=NO_ANATOMY)
 
     def __post_init__(self) -> None:
         for name in ("insertion_plays_mm", "bend_plays_deg"):  # lists, where a configuration gives them
@@ -91,8 +95,8 @@ class Carried:
         R = Rotation.from_matrix(T[:3, :3]).as_matrix()  # without the rounding errors that products gather
         return Carried(
             transform_from(R, T[:3, 3]),
-            float(np.hypot(self.sd_mm, later.sd_mm)),
-            float(np.hypot(self.sd_rad, later.sd_rad)),
+            self.sd_mm + later.sd_mm,
+            self.sd_rad + later.sd_rad,
             self.seconds + later.seconds,
         )
 
@@ -144,7 +148,7 @@ class Odometry:
     """Motion of the camera from the joints that a robot reports.
 
     Args:
-        settings: see `OdometrySettings`, lengths in mm of this kidney.
+        settings: see `OdometrySettings`, lengths of anatomy in mm of this kidney.
 
     Attributes:
         segment: that bends the tip.
