@@ -153,6 +153,7 @@ def test_stones_and_when_the_place_was_seen_reach_the_explorer(rig, phantom, pha
     pilot.connect()
     pilot.read()
     assert told == [((stone,), 4.0)]
+    assert pilot.explorer._steering.segment is robot.drive.segment, "it steers this robot's tip"
 
 
 def test_who_looks_is_told_the_calyx_that_it_heads_for(rig, phantom, phantom_lumen, lens, vid):

@@ -106,7 +106,8 @@ def make_autopilot(
     if rig.robot is None:
         raise InputError("Autonomy moves a robot, but there is none: choose hardware/robot=..., or autonomy=none.")
     guide = navigator.guide
-    explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits)
+    segment = rig.robot.drive.segment
+    explorer = Explorer(guide.coverage, navigator.tracker.lumen, settings, guide.limits, segment)
     names = {c.name: i for i, c in enumerate(navigator.vid.kidney.calyces)}
     clock: Callable[[], float] = rig.clock or time.monotonic
     newest: Callable[[], NavigationState] = navigator.bus.latest

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.devices.base import CommandSample, Device, JointRates, Joints, RobotSample, Stamper
 from ursnav_torch.devices.robots.guardian import Guardian
+from ursnav_torch.devices.robots.kinematics import Drive
 from ursnav_torch.devices.robots.place import Place
 from ursnav_torch.devices.robots.safety import ARMED, STOPPED, Limits, SafetyGate, clamp_rates
 from ursnav_torch.errors import DeviceError, InputError
@@ -38,9 +39,14 @@ class Robot(Device):
     Args:
         tolerance: how far (3,) the controller's reports may lie outside of what was sent, in its own unit.
 
+    Attributes:
+        drive: what its axes do to the joints; every driver has one.
+
     Raises:
         InputError: ``horizon_s`` is not between 0 and 0.15, or ``watchdog_s`` not above it up to 0.5.
     """
+
+    drive: Drive
 
     def __init__(self, limits: Limits, horizon_s: float, watchdog_s: float, tolerance: float | Array) -> None:
         super().__init__()
