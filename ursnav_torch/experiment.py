@@ -8,6 +8,8 @@ from ursnav_torch._runner import OK, ROWS_WITH_ERRORS, caller_path, progress, ru
 @runner("experiment")
 def main(config: Any) -> int:
     """Instantiate the choices and call `thesis.run_experiment`."""
+    from functools import partial
+
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
@@ -25,7 +27,7 @@ def main(config: Any) -> int:
         instantiate(config.features),
         instantiate(config.rendering),
         instantiate(config.views),
-        lambda vid: Localizer(vid, matching, localization, search, alignment),
+        partial(Localizer, matching=matching, settings=localization, search=search, alignment=alignment),
         config.calibrate,
         config.workers,
     )

@@ -1,11 +1,12 @@
 """Coverage: what a pose sees, what that makes of a calyx, and that two ways of asking agree."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ursnav_torch.camera import Camera
+from ursnav_torch.camera import Camera, mask_text
 from ursnav_torch.errors import InputError
 from ursnav_torch.exploration.coverage import Coverage, CoverageSettings
 from ursnav_torch.features.foreground import ForegroundBody
@@ -156,3 +157,20 @@ def test_of_a_place_that_may_be_off_only_wall_counts_that_shows_all_the_same(cov
         wrong, wrong_sure, counted = wrong + len(plain - truth), wrong_sure + len(sure - truth), counted + len(sure)
     assert wrong_sure < 0.6 * wrong and counted > 4 * len(truth)
     assert set(coverage.surely_in_view(T, 0.0)) == truth
+
+
+def test_wall_that_the_picture_does_not_show_is_not_in_view(phantom: Kidney, lens: Camera, vid: Vid) -> None:
+    """The lens's own mask, and a scene that is found, or said, to be narrower still."""
+    upper, lumen = np.zeros((lens.height, lens.width), bool), LumenDistance.from_kidney(phantom)
+    T = vid.T_kidney_camera[5]
+    upper[: lens.height // 2] = True
+    whole, masked = (Coverage(phantom, one, lumen) for one in (lens, replace(lens, mask=mask_text(upper))))
+    y = ((whole.patches.center_mm - T[:3, 3]) @ T[:3, :3])[:, 1]
+    shown, half = whole.in_view(T), masked.in_view(T)
+    assert set(shown[y[shown] < -0.1]) <= set(half) <= set(shown[y[shown] < 0.1]) and len(half) < 0.8 * len(shown)
+    whole.look_through(upper)
+    np.testing.assert_array_equal(whole.in_view(T), half)
+    masked.look_through(None)
+    np.testing.assert_array_equal(masked.in_view(T), half)
+    whole.look_through(None)
+    np.testing.assert_array_equal(whole.in_view(T), shown)

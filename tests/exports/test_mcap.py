@@ -1,5 +1,6 @@
 """MCAP: read back by the mcap package with its own decoder."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,20 @@ def test_convention_poses_are_meters_and_of_the_pictures_moment(tmp_path: Path) 
     T = transform_from_quaternion([1000 * at.x, 1000 * at.y, 1000 * at.z], [q.x, q.y, q.z, q.w])
     np.testing.assert_allclose(T, POSE, atol=1e-6)
     assert pose.frame_id == "kidney" and pose.timestamp.ToNanoseconds() == pytest.approx(WALL * 1e9, abs=1e4)
-    assert raw.log_time == pytest.approx((WALL + 0.2) * 1e9, abs=1e4), "a wall clock set back moves nothing"
-    (_, _, sensor), (_, _, camera) = found["/tf"]
+    assert raw.log_time == pytest.approx(WALL * 1e9, abs=1e4), "a wall clock set back moves nothing"
+    (_, _, camera), (_, _, sensor) = found["/tf"]  # in the order of their moments
     assert (sensor.parent_frame_id, sensor.child_frame_id, sensor.translation.x) == ("em", "sensor", 0.001)
     assert (camera.parent_frame_id, camera.child_frame_id) == ("kidney", "camera")
+
+
+def test_a_session_that_was_navigated_again_has_its_poses_beside_its_pictures(tmp_path: Path) -> None:
+    """Their results are stamped on the day's own clock."""
+    events = [replace(e, stamp=stamp(0, 5e5)) if isinstance(e, Result) else e for e in session()]
+    write_mcap(tmp_path / "s.mcap", events)
+    found = read(tmp_path / "s.mcap")
+    taken = found["/camera/image"][0][1].log_time
+    camera = [message.log_time for _, message, said in found["/tf"] if said.child_frame_id == "camera"]
+    assert [found["/pose"][0][1].log_time, *camera] == [taken, taken]
 
 
 def test_the_kidney_is_a_surface_in_meters_at_the_beginning(tmp_path: Path, phantom: Kidney) -> None:

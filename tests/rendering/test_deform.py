@@ -10,6 +10,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import apply, rotation_angle, transform_from
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.rendering.deform import Deformation, WarpSettings, deform_mesh, local_radius
+from ursnav_torch.scaling import scaled
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -89,3 +90,14 @@ def test_bad_settings_are_refused() -> None:
         WarpSettings(amplitude_mm=5, wavelength_mm=20)
     with pytest.raises(InputError, match="distension in"):
         WarpSettings(distension=0.9)
+
+
+def test_a_larger_kidney_changes_alike(lumen: trimesh.Trimesh, poses: np.ndarray) -> None:
+    twice, warp = lumen.copy(), WarpSettings(amplitude_mm=1.5, distension=0.1, shift_mm=3.0)
+    twice.apply_scale(2.0)
+    one, other = deform_mesh(lumen, warp, rng()), deform_mesh(twice, scaled(warp, 2.0), rng(), 2.0)
+    np.testing.assert_allclose(other.mesh.vertices, 2 * np.asarray(one.mesh.vertices), atol=1e-2)
+    for T in poses:
+        away = T.copy()
+        away[:3, 3] *= 2
+        np.testing.assert_allclose(other.carry(away)[:3, 3], 2 * one.carry(T)[:3, 3], atol=1e-2)

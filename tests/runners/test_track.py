@@ -250,6 +250,42 @@ def test_an_interruption_keeps_the_rows_so_far(vid: Vid, folder: Path, tmp_path:
     assert not list(tmp_path.glob("*.partial"))
 
 
+def test_a_camera_that_fails_leaves_the_rows_so_far(vid: Vid, folder: Path, tmp_path: Path) -> None:
+    whole = open_source(folder)
+
+    def unplugged(after: int) -> Iterator[Moment]:
+        for moment in whole.moments():
+            if moment.frame == after:
+                raise DeviceTimeoutError("no picture for 5 s")
+            yield moment
+
+    source = replace(whole, moments=lambda: unplugged(5), live=True)
+    summary, finished = track_source(Tracker(vid), source, tmp_path / "a.csv", None, False, silent)
+    assert not finished and "The camera failed, and the track ends there: no picture for 5 s" in summary
+    assert len(read(tmp_path / "a.csv")) == 5
+    with pytest.raises(DeviceTimeoutError):
+        never = replace(whole, moments=lambda: unplugged(0), live=True)
+        track_source(Tracker(vid), never, tmp_path / "b.csv", None, False, silent)
+
+
+def test_a_camera_that_is_silent_for_a_moment_is_asked_again() -> None:
+    class Stalls(CameraDevice):
+        """A picture, silence, a picture, the end."""
+
+        says = iter(["picture", "silence", "silence", "picture", "end"])
+
+        def _open(self) -> None: ...
+        def _close(self) -> None: ...
+        def stop(self) -> None: ...
+        def read(self, timeout_s: float = 1.0) -> Frame:
+            said = next(self.says)
+            if said != "picture":
+                raise DeviceTimeoutError("no picture") if said == "silence" else SourceAtEndError("the end")
+            return Frame(Stamp(0, 0.0, 0.0), np.zeros((4, 4), np.uint8))
+
+    assert len(list(camera_source(Stalls(), None).moments())) == 2
+
+
 @pytest.mark.parametrize("breaks", [False, True])
 def test_a_camera_is_closed_at_its_end_and_after_an_error(breaks: bool) -> None:
     class Three(CameraDevice):

@@ -82,6 +82,20 @@ def test_direction_exposes_the_match_from_the_same_place(run: Callable[..., Any]
     assert "4 of 5 matches judged" in done.out and "TP 2 FN 0 FP 0 TN 2" in done.out and "at scale 1" in done.out
 
 
+def test_poses_that_a_track_does_not_believe_are_not_judged(
+    run: Callable[..., Any], case: Case, tmp_path: Path
+) -> None:
+    with case.matches.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for row, state in zip(rows, ("searching", *["tracking"] * 4), strict=True):
+        row["state"] = state
+    write_rows(case.matches, [*MATCH_COLUMNS, "state"], rows)
+    out = tmp_path / "v.json"
+    assert run("validate", *case.overrides(out)).code in (0, 3)
+    said = json.loads(out.read_text(encoding="utf-8"))["images"]
+    assert said[0]["error"] == "no match: searching" and [row["verdict"] for row in said[:2]] == [None, "right"]
+
+
 def test_reference_pairs_give_the_thesis_threshold(run: Callable[..., Any], case: Case, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     em = rng.normal(0, 20, (5, 3))

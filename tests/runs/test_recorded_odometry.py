@@ -40,3 +40,15 @@ def test_times_that_fall_and_cells_that_are_no_numbers_are_refused(tmp_path: Pat
         recorded_odometry(log(tmp_path, "0,1,0,0", "0.2,1,0,0", "0.1,1,0,0"))
     with pytest.raises(InputError, match="insertion_mm"):
         recorded_odometry(log(tmp_path, "0,deep,0,0"))
+
+
+def test_a_row_without_all_joints_is_no_report_and_one_without_its_time_is_refused(tmp_path: Path) -> None:
+    """A blank cell made every later picture's motion unknown."""
+    reading = recorded_odometry(log(tmp_path, "0,1,0,0", "0.1,,0,0", "0.2,2,0,0", "0.3,3,0,"))
+    between = reading(moment(0.1))
+    assert between is not None and between.insertion_mm == pytest.approx(1.5)
+    assert reading(moment(0.25)) == reading(moment(0.2))
+    with pytest.raises(InputError, match="data row 2 has no t_s"):
+        recorded_odometry(log(tmp_path, "0,1,0,0", ",1,0,0"))
+    with pytest.raises(InputError, match="no row has all of"):
+        recorded_odometry(log(tmp_path, "0,1,,0"))

@@ -70,3 +70,13 @@ def test_a_track_is_told_by_the_bytes_it_is_made_from(tmp_path: Path) -> None:
     assert [entry[:2] for entry in before] == [[str(tmp_path / "in" / "a.png"), 1], [str(tmp_path / "nowhere"), -1]]
     (tmp_path / "in" / "a.png").write_bytes(b"2")
     assert inputs.fingerprints() != before
+
+
+def test_a_truth_that_is_too_short_costs_the_score_and_not_the_track(track: Path, tmp_path: Path) -> None:
+    besides, out = Besides(Truth(at(0.0, 1.0), None), tum=True), tmp_path / "again.csv"
+    with whole_set((out, *besides.paths(out)), False, {}) as whole:
+        whole.staged(out).write_bytes(track.read_bytes())
+        assert "not scored: The track goes to picture 3, but the truth has 2 rows" in besides.write(whole)
+        whole.outcome = True
+    assert out.read_bytes() == track.read_bytes() and (tmp_path / "again.tum").is_file()
+    assert "2 rows" in (tmp_path / "again.score.json").read_text(encoding="utf-8")

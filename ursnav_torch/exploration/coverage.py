@@ -130,12 +130,17 @@ class Coverage:
         self.patches = divide_wall(kidney, lumen, self.settings)
         self._lumen, self._scene, self._tree = lumen, RayScene(kidney.mesh), cKDTree(self.patches.center_mm)
         self._half_field = _half_field(camera)
+        self._shown = self._lens_shows = None if camera.mask is None else camera.pixel_rays()[1]
         self.seen_s = np.zeros(len(self.patches.area_mm2))
         self.in_reach = np.ones(len(self.seen_s), bool)
         if T_reachable is not None:
             self.in_reach[:] = False
             for T in T_reachable:
                 self.in_reach[self.in_view(T)] = True
+
+    def look_through(self, scene: NDArray[np.bool_] | None) -> None:
+        """From now on pictures show the scene in a part (H, W) of the lens's picture alone; in all of it when None."""
+        self._shown = self._lens_shows if scene is None else scene
 
     def add(
         self,
@@ -204,11 +209,19 @@ class Coverage:
             & (ray @ T_kidney_camera[:3, 2] > np.cos(s.edge_share * self._half_field))
         )
         keep &= np.sum(ray * self.patches.normal[near], axis=1) > np.cos(np.radians(s.incidence_deg))
-        keep[keep] = self.camera.project(ray[keep] @ T_kidney_camera[:3, :3])[1]
+        keep[keep] = self._in_picture(ray[keep] @ T_kidney_camera[:3, :3])
         near, distance, ray = near[keep], distance[keep], ray[keep]
         if not len(near):
             return near
         return near[self._scene.depth_mm(position, ray) >= distance - s.patch_mm]
+
+    def _in_picture(self, rays: Array) -> NDArray[np.bool_]:
+        """Which rays (N, 3), camera frame, the picture shows (N,): within the lens's field, where it has a scene."""
+        pixels, inside = self.camera.project(rays)
+        if self._shown is None:
+            return inside
+        column, row = np.clip(np.rint(pixels).astype(int), 0, np.array(self._shown.shape[::-1]) - 1).T
+        return np.asarray(inside & self._shown[row, column])
 
     def _covered(self, T_kidney_camera: Array, patches: IntArray, before: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which patches (N,) of those in view lie where something is before them, by its mask (h, w)."""

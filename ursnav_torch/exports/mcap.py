@@ -126,12 +126,12 @@ class _Messages:
         values = [float(result.row[name]) for name in POSE_COLUMNS]
         taken = self._pictures.get(result.frame, now)
         transform = self._transform(("kidney", "camera"), values[:3], values[3:], taken)
-        yield "/tf", now, transform
+        yield "/tf", taken, transform
         message = self._stamped("PoseInFrame", taken, frame_id="kidney")
         for axis in "xyz":
             setattr(message.pose.position, axis, getattr(transform.translation, axis))
         message.pose.orientation.CopyFrom(transform.rotation)
-        yield "/pose", now, message
+        yield "/pose", taken, message
 
     def _transform(self, frames: tuple[str, str], at_mm: Any, quaternion_xyzw: Any, now: int) -> Any:
         message = self._stamped("FrameTransform", now, parent_frame_id=frames[0], child_frame_id=frames[1])

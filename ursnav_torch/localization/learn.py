@@ -20,6 +20,7 @@ from ursnav_torch.localization.locate import Localizer
 from ursnav_torch.processes import in_order
 from ursnav_torch.rendering import WarpSettings, deform_mesh
 from ursnav_torch.rendering.sensor import PRESETS, WIDE, Preset, draw_faults, none_pictures, simulate
+from ursnav_torch.scaling import scaled
 from ursnav_torch.threads import one_thread_an_operation
 from ursnav_torch.vid import MakeRenderer, PlanSettings, Vid, plan_views
 
@@ -78,6 +79,7 @@ def queries_from(
 ) -> Iterator[Query]:
     """`simulated_queries` from poses (N, 4, 4) that were planned elsewhere, which observe ``calyces`` (N,)."""
     renderer, names, moved_pictures = make_renderer(vid.kidney.mesh, vid.camera), list(presets), 0
+    scale = vid.kidney.scale
     for i, (T, calyx) in enumerate(zip(T_kidney_camera, calyces, strict=True)):
         name = names[i % len(names)]
         faults = draw_faults(presets[name], rng)
@@ -86,7 +88,7 @@ def queries_from(
             continue
         if moved_pictures % PICTURES_A_WARP == 0:
             warp = WarpSettings(amplitude_mm=rng.uniform(0.5, 2.0), distension=rng.uniform(0.0, 0.1))
-            moved = deform_mesh(vid.kidney.mesh, warp, rng)
+            moved = deform_mesh(vid.kidney.mesh, scaled(warp, scale), rng, scale)
             inside = make_renderer(moved.mesh, vid.camera)
         moved_pictures += 1
         yield Query(simulate(inside, moved.carry(T), faults, rng), T, int(calyx), name)

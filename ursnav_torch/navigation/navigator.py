@@ -347,6 +347,7 @@ class Navigator:
         begun, t_s = time.monotonic(), frame.stamp.t_mono_s
         if tracked.T_kidney_camera is not None and tracked.is_settled and self._counted_s is not None:
             passed_s = t_s - self._counted_s
+            self.guide.coverage.look_through(self.tracker.shown)
             self.guide.paint(tracked.T_kidney_camera, passed_s, tracked.bodies, tracked.position_sd_mm)
         self._see_stones(tracked, frame)
         self._seen_from, self._counted_s = _believed(tracked), t_s

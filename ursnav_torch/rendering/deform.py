@@ -58,10 +58,12 @@ class Deformation:
     Attributes:
         rest_vertices: (V, 3) mm, before.
         mesh: after; same faces, same frame.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
     """
 
     rest_vertices: Array
     mesh: trimesh.Trimesh
+    unit_mm: float = 1.0
 
     def carry(self, T_kidney_camera: NDArray[np.float64]) -> Array:
         """Where the camera must be in the warped kidney to stand as it did in the rest kidney.
@@ -75,7 +77,7 @@ class Deformation:
         """
         T = check_rigid(T_kidney_camera, "T_kidney_camera")
         away = np.linalg.norm(self.rest_vertices - T[:3, 3], axis=1)
-        weight = np.exp(-(away**2 - away.min() ** 2) / (2 * _AROUND_MM**2))
+        weight = np.exp(-(away**2 - away.min() ** 2) / (2 * (_AROUND_MM * self.unit_mm) ** 2))
         weight /= weight.sum()
         moved = np.asarray(self.mesh.vertices)
         center, center_moved = weight @ self.rest_vertices, weight @ moved
@@ -85,30 +87,34 @@ class Deformation:
         return T_warped_rest @ T
 
 
-def deform_mesh(mesh: trimesh.Trimesh, settings: WarpSettings, rng: np.random.Generator) -> Deformation:
+def deform_mesh(
+    mesh: trimesh.Trimesh, settings: WarpSettings, rng: np.random.Generator, unit_mm: float = 1.0
+) -> Deformation:
     """Warp a lumen at random.
 
     Args:
         mesh: the rest kidney, mm, normals outward.
-        settings: how much.
+        settings: how much, lengths in mm of this kidney.
         rng: draws the waves and the direction of the shift.
+        unit_mm: length of 1 mm of anatomy: the kidney's scale.
     """
     rest = np.asarray(mesh.vertices, float)
-    moved = rest + settings.distension * local_radius(mesh)[:, None] * np.asarray(mesh.vertex_normals)
+    moved = rest + settings.distension * local_radius(mesh, unit_mm)[:, None] * np.asarray(mesh.vertex_normals)
     if settings.amplitude_mm > 0:
         waves = _smooth_waves(rest, settings.wavelength_mm, rng)
         rms = np.sqrt(np.mean(np.sum(waves**2, axis=1)))
         moved = moved + settings.amplitude_mm / rms * waves
     direction = rng.standard_normal(3)
     moved = moved + settings.shift_mm * direction / np.linalg.norm(direction)
-    return Deformation(rest, trimesh.Trimesh(moved, mesh.faces, process=False))
+    return Deformation(rest, trimesh.Trimesh(moved, mesh.faces, process=False), unit_mm)
 
 
-def local_radius(mesh: trimesh.Trimesh) -> Array:
-    """(V,) mm: half the way across the lumen from each vertex, at most 15, averaged over the neighborhood."""
+def local_radius(mesh: trimesh.Trimesh, unit_mm: float = 1.0) -> Array:
+    """(V,) mm: half the way across the lumen from each vertex, at most 15 mm of anatomy, averaged over the
+    neighborhood."""
     vertices, inward = np.asarray(mesh.vertices), -np.asarray(mesh.vertex_normals)
     across, _ = RayScene(mesh).cast(vertices + 0.01 * inward, inward)
-    radius = np.minimum(np.nan_to_num(across, posinf=0.0) / 2, _LARGEST_RADIUS_MM).astype(float)
+    radius = np.minimum(np.nan_to_num(across, posinf=0.0) / 2, _LARGEST_RADIUS_MM * unit_mm).astype(float)
     a, b = np.asarray(mesh.edges_unique).T
     ones = np.ones(len(a))
     neighbors = sparse.csr_array((ones, (a, b)), shape=(len(vertices),) * 2)

@@ -138,14 +138,18 @@ def _names(folder: Path) -> list[str]:
 def recorded_odometry(path: Path) -> Callable[[Moment], OdometryReading | None]:
     """The joints at a picture's time, from a CSV file ``t_s,insertion_mm,bend_x_deg,bend_y_deg``.
 
-    Between two reports the joints are interpolated; where the robot said nothing for half a second there is none.
+    Between two reports the joints are interpolated; where the robot said nothing for half a second there is none. A row
+    without all of its joints is no report.
 
     Raises:
         InputError: the file cannot be read, holds something that is no number, or its times do not rise.
     """
     rows = read_csv(path, ODOMETRY_COLUMNS, "odometry")
     table = numbers(rows, ODOMETRY_COLUMNS)
-    t_s, joints = table[:, 0], table[:, 1:] * [1.0, np.pi / 180, np.pi / 180]
+    timeless = np.flatnonzero(~np.isfinite(table[:, 0]))
+    if len(timeless):
+        raise InputError(f"{path}: data row {int(timeless[0]) + 1} has no t_s; every report needs its time.")
+    t_s = table[:, 0]
     stays = np.flatnonzero(np.diff(t_s) <= 0)
     if len(stays):
         at = int(stays[0])
@@ -153,6 +157,10 @@ def recorded_odometry(path: Path) -> Callable[[Moment], OdometryReading | None]:
             f"{path}: t_s must rise from row to row, but {t_s[at + 1]:g} s in data row {at + 2} follows {t_s[at]:g} s. "
             "Sort the rows by time, and keep one row a time."
         )
+    table = table[np.isfinite(table).all(1)]
+    if not len(table):
+        raise InputError(f"{path}: no row has all of insertion_mm, bend_x_deg and bend_y_deg.")
+    t_s, joints = table[:, 0], table[:, 1:] * [1.0, np.pi / 180, np.pi / 180]
 
     def reading(moment: Moment) -> OdometryReading | None:
         after = int(np.searchsorted(t_s, moment.t_s))

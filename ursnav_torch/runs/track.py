@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ursnav_torch.camera import PictureCut
 from ursnav_torch.columns import TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, SourceAtEndError
-from ursnav_torch.errors import InputError
+from ursnav_torch.errors import DeviceError, DeviceTimeoutError, InputError
 from ursnav_torch.exploration.coverage import REACH_STRIDE, Coverage
 from ursnav_torch.exploration.coverage_report import coverage_report
 from ursnav_torch.files import Progress, cell, write_image, write_json
@@ -26,6 +26,9 @@ from ursnav_torch.stones import watch_stones
 from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_source
 from ursnav_torch.tracking.offline import follow_both_ways
 from ursnav_torch.tracking.tracker import LOST, TRACKING, Tracker
+
+#: A camera may be silent for so many times five seconds, in which it is opened anew.
+_SILENCES = 4
 
 
 def track_source(
@@ -92,10 +95,13 @@ def _tracked(
     offline: bool,
     besides: Besides,
 ) -> tuple[str, bool]:
-    """Track, write rows, coverage and stones; the summary, and whether the source was tracked to its end."""
+    """Track, write rows, coverage and stones; the summary, and whether the source was tracked to its end.
+
+    What was tracked of a camera that fails on its way is kept.
+    """
     out, exploration = whole.paths[0], besides.exploration
     vid, last, states, ended = tracker.vid, None, dict[str, int](), ""
-    spent, start, interrupted = list[float](), time.perf_counter(), False
+    spent, start, interrupted, failed = list[float](), time.perf_counter(), False, ""
     with whole.staged(out).open("w", newline="", encoding="utf-8") as file:
         reach = vid.T_kidney_camera[::REACH_STRIDE]
         coverage = Coverage(vid.kidney, vid.camera, tracker.lumen, reach, exploration.coverage)
@@ -112,6 +118,10 @@ def _tracked(
                     last, ended = (last if tracked.T_kidney_camera is None else tracked.T_kidney_camera), tracked.state
             except KeyboardInterrupt:
                 interrupted = True
+            except DeviceError as error:
+                if not states:
+                    raise
+                failed = f"\nThe camera failed, and the track ends there: {error}"
         if interrupted and not states:
             raise KeyboardInterrupt
         if not states:
@@ -122,10 +132,10 @@ def _tracked(
     write_image(whole.staged(whole.paths[2]), draw_coverage(coverage))
     told = write_stone_files(watch, *(whole.staged(path) for path in whole.paths[3:5]))
     said = _summary(source, states, ended, coverage, out, interrupted), _speed(spent, rate), told.text()
-    summary = "\n".join(said)
+    summary = "\n".join(said) + failed
     if interrupted and offline:
         summary += "\nThe rows are what live tracking answered: the way back was not finished."
-    return summary, source.live or not interrupted
+    return summary, not failed and (source.live or not interrupted)
 
 
 def put_back(source: Source, cut: PictureCut, tracker: Tracker) -> Source:
@@ -141,13 +151,21 @@ def put_back(source: Source, cut: PictureCut, tracker: Tracker) -> Source:
 
 
 def camera_source(device: CameraDevice, seconds: float | None) -> Source:
-    """The pictures of a camera, connected with the first and disconnected after the last, or after an error."""
+    """The pictures of a camera, connected with the first and disconnected after the last, or after an error.
+
+    A camera that gives nothing for `_SILENCES` times five seconds has failed.
+    """
 
     def read() -> NDArray[np.uint8] | None:
-        try:
-            return device.read(5.0).image
-        except SourceAtEndError:
-            return None
+        for again in reversed(range(_SILENCES)):
+            try:
+                return device.read(5.0).image
+            except SourceAtEndError:
+                return None
+            except DeviceTimeoutError:
+                if not again:
+                    raise
+        return None
 
     source = live_source(read, seconds)
 

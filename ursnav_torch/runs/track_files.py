@@ -143,8 +143,7 @@ class Besides:
     def write(self, whole: WholeSet) -> str:
         """Write what is asked for into the set; the score for people to read, blank without one.
 
-        Raises:
-            InputError: see `score_track`.
+        A truth that does not reach to the track's end costs the score, not the track.
         """
         out = whole.paths[0]
         track = read_track(whole.staged(out)) if self.paths(out) else None
@@ -152,8 +151,13 @@ class Besides:
             write_tum(whole.staged(out.with_suffix(".tum")), track.t_s, track.T_kidney_camera)
         if self.truth is None or track is None:
             return ""
-        found = score_track(track, self.truth)
-        write_json(whole.staged(out.with_suffix(".score.json")), found)
+        path = whole.staged(out.with_suffix(".score.json"))
+        try:
+            found = score_track(track, self.truth)
+        except InputError as error:
+            write_json(path, {"error": str(error)})
+            return f"\nnot scored: {error}"
+        write_json(path, found)
         return "\nagainst the truth: " + ", ".join(
             f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
         )

@@ -27,6 +27,7 @@ def track_rows(
         passed = moment.t_s - last if last is not None else 0.0
         last = moment.t_s
         if coverage is not None and tracked.T_kidney_camera is not None and tracked.is_settled:
+            coverage.look_through(tracker.shown)
             coverage.add(tracked.T_kidney_camera, passed, tracked.bodies, tracked.position_sd_mm)
         if stones is not None:
             stones.see(tracked, moment.image, moment.t_s, moment.frame)

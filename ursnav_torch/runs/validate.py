@@ -25,6 +25,7 @@ from ursnav_torch.registration.validation import (
     position_threshold,
 )
 from ursnav_torch.tables import Row, numbers, read_csv
+from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import poses_from_rows
 
 BoolArray = NDArray[np.bool_]
@@ -248,6 +249,8 @@ def _what_is_missing(row: Row, seen: bool) -> str:
         return f"no match: {row['error']}"
     if not all(row[c].strip() for c in POSE_COLUMNS):
         return "no match: the row has no pose"
+    if row.get("state", TRACKING) != TRACKING:  # a track's, which it does not believe itself
+        return f"no match: {row['state']}"
     return "" if seen else "no EM reading for this image"
 
 

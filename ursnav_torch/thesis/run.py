@@ -154,7 +154,7 @@ def _prepared_vid(
     mesh = hashlib.sha256(kidney.mesh.vertices.tobytes() + kidney.mesh.faces.tobytes()).hexdigest()
     same = f"{kidney.source} {kidney.scale} {mesh} "
     same += f"{pipeline.camera} {pipeline.features} {pipeline.make_renderer} {pipeline.views} {pipeline.calibrate} "
-    same += str(settings.views_by_hand)
+    same += f"{settings.views_by_hand} {pipeline.make_localizer}"
     if not (mark.exists() and mark.read_text(encoding="utf-8") == same):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,10 @@ def _prepared_vid(
             shutil.rmtree(left) if left.is_dir() else left.unlink()
     if (work / "vid").exists():
         return load_vid(work / "vid")
-    learn = partial(learn_confidence, make_renderer=pipeline.make_renderer, plan=pipeline.views)
+    learn = partial(
+        learn_confidence, make_renderer=pipeline.make_renderer, plan=pipeline.views,
+        make_localizer=pipeline.make_localizer,
+    )  # fmt: skip
     return build_vid(
         kidney,
         pipeline.camera,

@@ -11,6 +11,7 @@ from ursnav_torch.features import (
     NO_EDGES,
     NO_MAPS,
     NOTHING_BEFORE,
+    DefaultExtractor,
     DefaultSettings,
     Features,
     StillPixels,
@@ -33,13 +34,15 @@ class TrackReader:
     Attributes:
         working_camera: the lens in which features give their fields.
         scene: (H, W) the part of the lens that shows the scene, where some was found never to change; else None.
+        shown: (H, W) that part, and of it what pictures were said to show; None where they show all of the lens's.
     """
 
     def __init__(self, settings: DefaultSettings, camera: Camera, learned: float | None) -> None:
         self._camera = camera
-        self._whole = self._extractor = relief_extractor(settings, camera, learned)
+        self._lens = self._whole = self._extractor = relief_extractor(settings, camera, learned)
         self.working_camera = self._extractor.working_camera
         self.scene: NDArray[np.bool_] | None = None
+        self.shown: NDArray[np.bool_] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -72,7 +75,8 @@ class TrackReader:
 
     def narrow(self, scene: NDArray[np.bool_]) -> None:
         """From now on pictures show the scene in a part (H, W) of the lens alone."""
-        self._whole = self._extractor = self._whole.through(scene)
+        self._whole = self._whole.through(scene)
+        self._look_through(self._whole)
 
     def _look_for_the_scene(self, image: NDArray[np.uint8]) -> None:
         """Leave out what never changes in the first pictures: a narrower mask, burnt-in text. The last look counts."""
@@ -81,7 +85,12 @@ class TrackReader:
             self._still.add(image)
             if looked + 1 in _LOOKED_AT:
                 self.scene = self._still.scene()
-                self._extractor = self._whole if self.scene is None else self._whole.through(self.scene)
+                self._look_through(self._whole if self.scene is None else self._whole.through(self.scene))
+
+    def _look_through(self, extractor: DefaultExtractor) -> None:
+        """Read the next pictures by an extractor of a part of the lens."""
+        self._extractor = extractor
+        self.shown = None if extractor is self._lens else extractor.camera.pixel_rays()[1]
 
     def mapped(self, features: Features) -> Features:
         """Features with the maps that views are searched by."""

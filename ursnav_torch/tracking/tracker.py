@@ -154,6 +154,11 @@ class Tracker:
         return f"{self.settings} {views.settings} {views.matching} {self._full_refinement}"
 
     @property
+    def shown(self) -> NDArray[np.bool_] | None:
+        """(H, W) the part of the lens's picture that shows the scene, as far as is known; None for all of it."""
+        return self._reader.shown
+
+    @property
     def slider_play_mm(self) -> float | None:
         """Width of the slider's play as pictures have shown it; None where no robot tells where it stands."""
         return self._robot.slider_play_mm
