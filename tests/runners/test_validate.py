@@ -91,7 +91,7 @@ def test_poses_that_a_track_does_not_believe_are_not_judged(
         row["state"] = state
     write_rows(case.matches, [*MATCH_COLUMNS, "state"], rows)
     out = tmp_path / "v.json"
-    assert run("validate", *case.overrides(out)).code in (0, 3)
+    assert run("validate", *case.overrides(out), "sensor_offset_mm=[0,1.2,-4]", "match_mm=4").code == 3
     said = json.loads(out.read_text(encoding="utf-8"))["images"]
     assert said[0]["error"] == "no match: searching" and [row["verdict"] for row in said[:2]] == [None, "right"]
 
