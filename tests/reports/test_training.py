@@ -8,6 +8,7 @@ import pytest
 from ursnav_torch.exploration.coverage import GLIMPSED, INSPECTED, OUT_OF_REACH, UNSEEN, CalyxCoverage
 from ursnav_torch.reports.training import (
     TrainingFigures,
+    as_told,
     calyx_training,
     count_visits,
     training_figures,
@@ -87,3 +88,19 @@ def test_visits_that_are_not_the_first_are_said() -> None:
     assert rows["visits"] == "4 in 2 calyces, 2 of them again"
     assert rows["from first sight of a calyx to inspected"] == "6.0 s, median of 2"
     assert rows["speed while moving, median"] == "3.2 mm/s"
+
+
+def test_verdicts_are_those_that_navigation_told_as_it_went_on() -> None:
+    """It knows of stones before the wall; painting the poses again does not."""
+    painted = TrainingFigures(
+        {"A": 1}, {"A": 0.5, "B": 1.0},
+        [CalyxCoverage(name, "", "inspected", 0.9, 1.0, 50.0) for name in "ABC"],
+    )  # fmt: skip
+    told = [
+        (2.0, {"A": ["glimpsed", 0.2], "B": ["unseen", 0.0]}),
+        (5.0, {"A": ["inspected", 0.8], "B": ["glimpsed", 0.3]}),
+    ]
+    found = as_told(painted, told)
+    assert [(c.verdict, c.share) for c in found.calyces] == [("inspected", 0.8), ("glimpsed", 0.3), ("inspected", 0.9)]
+    assert found.inspected_s == {"A": 3.0} and found.visits == {"A": 1} and found.missed == ["B"]
+    assert as_told(painted, []) is painted

@@ -1,5 +1,6 @@
 """What a session was like, as one HTML file that needs nothing else: path, coverage, calyces, doubtful moments."""
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from ursnav_torch.reports.overview import draw_overview
 from ursnav_torch.reports.session_parts import files_to_keep, film, time_line
 from ursnav_torch.reports.stones import NOTHING_TOLD, StonesTold
 from ursnav_torch.reports.stretches import DOUBT, DOUBT_S, LONGEST_GAP_S, session_stretches
-from ursnav_torch.reports.training import TrainingFigures, calyx_training, training_figures, training_rows
+from ursnav_torch.reports.training import TrainingFigures, as_told, calyx_training, training_figures, training_rows
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
 from ursnav_torch.vid import Vid
@@ -151,6 +152,7 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     counts = np.where(figures.settled[:, None, None], figures.T_kidney_camera, np.nan)
     training = training_figures(coverage, figures.t_s[figures.believed], figures.calyx, counts, passed)
+    training = as_told(training, _told_coverage(replay))
     details = _details(figures, training, replay)
     stretches, pictures = session_stretches(replay), film(replay, prefix)
     return {
@@ -187,6 +189,12 @@ def _details(figures: SessionFigures, training: TrainingFigures, replay: Replay)
     more = len(figures.moments) - len(shown)
     doubt = {"doubt": confidence_words(DOUBT), "doubt_s": DOUBT_S}
     return {"calyces": calyces, "moments": moments, "more": more, **doubt}
+
+
+def _told_coverage(replay: Replay) -> list[tuple[float, dict[str, list[Any]]]]:
+    """When navigation told anew of coverage, s, and what: verdict and share by the calyx."""
+    rows = [result.row for result in replay.results()]
+    return [(float(row["t_s"]), json.loads(row["coverage"])) for row in rows if row.get("coverage")]
 
 
 def _poses(rows: list[dict[str, Any]]) -> Array:

@@ -1,7 +1,7 @@
 """What a trainee asks of a session: visits, time to inspect, missed calyces, and the path beside published ones."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -60,20 +60,46 @@ def training_figures(
         if t < due:
             continue
         due = t + _EVERY_S
-        _look(coverage.calyces(), float(t), first, found.inspected_s)
+        _look(_verdicts(coverage.calyces()), float(t), first, found.inspected_s)
     found.calyces = coverage.calyces()
     if len(t_s):
-        _look(found.calyces, float(t_s[-1]), first, found.inspected_s)
+        _look(_verdicts(found.calyces), float(t_s[-1]), first, found.inspected_s)
     return found
 
 
-def _look(calyces: Sequence[CalyxCoverage], t_s: float, first: dict[str, float], inspected_s: dict[str, float]) -> None:
+def as_told(found: TrainingFigures, told: Sequence[tuple[float, Mapping[str, Sequence[Any]]]]) -> TrainingFigures:
+    """Figures with the verdicts that navigation told as the session went on, if it told any.
+
+    It knows what stood before the wall and how far off the place may have been, and when wall is to count.
+
+    Args:
+        found: the figures.
+        told: moments in seconds, and verdict and share by the calyx.
+    """
+    if not told:
+        return found
+    first: dict[str, float] = {}
+    inspected_s: dict[str, float] = {}
+    for t_s, said in told:
+        _look({name: str(verdict) for name, (verdict, _) in said.items()}, t_s, first, inspected_s)
+    last = {name: (str(verdict), float(share)) for name, (verdict, share) in told[-1][1].items()}
+    calyces = [
+        replace(c, verdict=last[c.calyx][0], share=last[c.calyx][1]) if c.calyx in last else c for c in found.calyces
+    ]
+    return replace(found, inspected_s=inspected_s, calyces=calyces)
+
+
+def _verdicts(calyces: Sequence[CalyxCoverage]) -> dict[str, str]:
+    return {c.calyx: c.verdict for c in calyces}
+
+
+def _look(verdicts: Mapping[str, str], t_s: float, first: dict[str, float], inspected_s: dict[str, float]) -> None:
     """Note when a calyx was first seen, and how long it then took until it was inspected."""
-    for c in calyces:
-        if c.verdict not in (UNSEEN, OUT_OF_REACH):
-            begun = first.setdefault(c.calyx, t_s)
-            if c.verdict == INSPECTED:
-                inspected_s.setdefault(c.calyx, t_s - begun)
+    for calyx, verdict in verdicts.items():
+        if verdict not in (UNSEEN, OUT_OF_REACH):
+            begun = first.setdefault(calyx, t_s)
+            if verdict == INSPECTED:
+                inspected_s.setdefault(calyx, t_s - begun)
 
 
 def count_visits(t_s: Array, names: Sequence[str]) -> dict[str, int]:
