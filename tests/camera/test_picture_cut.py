@@ -1,12 +1,13 @@
 """Pictures of the calibrated camera that were cropped or scaled lie again where the lens has them."""
 
 import warnings
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from ursnav_torch.camera import Camera, cut_of, equidistant_camera, scaled_to
+from ursnav_torch.camera import Camera, cut_of, equidistant_camera, mask_text, scaled_to
 
 LENS = Camera("equidistant", 200, 160, 90.0, 89.0, 101.0, 78.5, (-0.02, 0.003, 0.0, 0.0))
 
@@ -67,3 +68,19 @@ def test_no_ratio_and_no_scale_leave_a_picture_as_it_is(size: tuple[int, int]) -
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert scaled_to(picture, LENS) is picture
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_lens_with_a_mask_or_a_circle_of_its_own_shows_less(scaled: bool) -> None:
+    mask = np.zeros((160, 200), bool)
+    mask[40:120, 50:150] = True
+    taken = replace(LENS, mask=mask_text(mask))
+    cut = cut_of(taken.resized(400, 320) if scaled else taken, LENS)
+    assert cut is not None and cut.is_whole and cut.narrows
+    assert (cut.inside() != mask).sum() < 0.02 * mask.sum()
+    ideal = equidistant_camera(160, 200, 160)
+    narrow = cut_of(replace(ideal, fov_deg=100), ideal)
+    assert narrow is not None and narrow.narrows
+    np.testing.assert_array_equal(narrow.inside(), replace(ideal, fov_deg=100).pixel_rays()[1])
+    same, wider = cut_of(taken, taken), cut_of(LENS, taken)
+    assert same is not None and wider is not None and not same.narrows and not wider.narrows

@@ -1,7 +1,7 @@
 """Pictures of the calibrated camera that were cropped or scaled, put back to where they lie in the calibrated one."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,8 @@ from ursnav_torch.camera.lens import Camera
 _SMALLEST, _LARGEST = 0.25, 16.0
 #: What rounding to whole pixels leaves of one ratio, px of the picture.
 _ROUNDED_PX = 0.75
+#: A lens that shows less of the scene by this share of its picture, in a mask or a circle of its own, is narrower.
+_NARROWER = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +25,7 @@ class PictureCut:
         lens: whose pictures are wanted.
         width, height: of the pictures that come, px.
         x, y, w, h: the part of the lens's picture that they show, px of the lens's.
+        scene: (H, W) where they show the scene, as their own lens has a mask or a circle; None: as the lens's do.
     """
 
     lens: Camera
@@ -32,10 +35,16 @@ class PictureCut:
     y: int
     w: int
     h: int
+    scene: NDArray[np.bool_] | None = field(default=None, compare=False)
+
+    @property
+    def narrows(self) -> bool:
+        """Whether the pictures show less than the lens's do."""
+        return not self.is_whole or self.scene is not None
 
     @property
     def is_whole(self) -> bool:
-        """Whether the pictures show all that the lens's do."""
+        """Whether the pictures are as wide and high as the lens's are."""
         return (self.x, self.y, self.w, self.h) == (0, 0, self.lens.width, self.lens.height)
 
     def numbers(self) -> list[int]:
@@ -46,7 +55,16 @@ class PictureCut:
         """(H, W) where the lens's picture is known."""
         there = np.zeros((self.lens.height, self.lens.width), bool)
         there[self.y : self.y + self.h, self.x : self.x + self.w] = True
-        return there
+        return there if self.scene is None else there & self.scene
+
+    def through(self, taken: Camera) -> "PictureCut":
+        """The same of pictures that were ``taken`` through a lens with a mask or a circle of its own."""
+        part = _resized(taken.pixel_rays()[1].astype(np.uint8), self.w, self.h) > 0
+        scene = np.zeros((self.lens.height, self.lens.width), bool)
+        scene[self.y : self.y + self.h, self.x : self.x + self.w] = part
+        shown = self.inside() & self.lens.pixel_rays()[1]
+        is_narrower = (shown & ~scene).sum() > _NARROWER * shown.sum()
+        return replace(self, scene=scene) if is_narrower else self
 
     def put_back(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A picture as the lens gives it (H, W) or (H, W, 3), black where it was cut away.
@@ -73,7 +91,7 @@ def cut_of(taken: Camera, lens: Camera) -> PictureCut | None:
         return None
     again = lens.cropped(left, top, w, h).resized(taken.width, taken.height)
     found = PictureCut(lens, taken.width, taken.height, left, top, w, h)
-    return found if again.same_lens(taken) else None
+    return found.through(taken) if again.same_lens(taken) else None
 
 
 def scaled_to(image: NDArray[np.uint8], lens: Camera) -> NDArray[np.uint8]:

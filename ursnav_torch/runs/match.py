@@ -89,7 +89,7 @@ def match_images(
 def _narrow(localizer: Localizer, pictures: Pictures) -> None:
     """Let the localizer leave out what was cut away, and what never changes: a narrower mask, burnt-in text."""
     paths = pictures.paths
-    if not pictures.cut.is_whole:
+    if pictures.cut.narrows:
         localizer.narrow(pictures.cut.inside())
     rows = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), _LOOKED_AT)).round().astype(int))
     shown = [image for row in rows if (image := pictures.readable(paths[row])) is not None]

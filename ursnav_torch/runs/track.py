@@ -140,7 +140,7 @@ def _tracked(
 
 def put_back(source: Source, cut: PictureCut, tracker: Tracker) -> Source:
     """The source with its pictures as the VID's lens gives them; the tracker leaves out what was cut away of them."""
-    if not cut.is_whole:
+    if cut.narrows:
         tracker.narrow(cut.inside())
 
     def moments() -> Iterator[Moment]:

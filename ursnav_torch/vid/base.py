@@ -97,7 +97,7 @@ class Vid:
         lens = self.camera
         whole = PictureCut(lens, lens.width, lens.height, 0, 0, lens.width, lens.height)
         if camera is None or lens.same_lens(camera):
-            return whole
+            return whole if camera is None else whole.through(camera)
         cut = cut_of(camera, lens) if was_cut else None
         if cut is None:
             raise InputError(
