@@ -56,6 +56,24 @@ def test_a_stick_held_over_when_the_dead_man_goes_down_waits_until_it_was_let_go
     assert read(NOW, [0.0, 0.0, 0.9], pressed(0)).insertion > 0.8
 
 
+def test_an_axis_that_was_not_reported_drives_again_only_after_it_was_seen_at_rest():
+    read, released, held = rested(TRIGGER), [0.0, 0.0, -1.0], pressed(0)
+    read(NOW, released, pressed())
+    assert read(NOW, released, held).insertion == 0.0
+    read(NOW, [], [])
+    assert read(NOW, released, held).insertion == 0.0  # silence is not rest
+    read(NOW, [0.0, 0.0, 0.0], pressed())
+    assert read(NOW, [0.0, 0.0, 0.05], held).insertion == 0.0
+    assert read(NOW, [0.0, 0.0, 0.9], held).insertion > 0.8
+
+
+def test_after_silence_a_driver_may_say_zero_of_what_has_not_moved_once_more():
+    read = rested(TRIGGER)
+    read(NOW, [], [])
+    read(NOW, [0.0, 0.0, 0.0], pressed())
+    assert read(NOW, [0.0, 0.0, -0.98], pressed(0)).insertion == 0.0
+
+
 def test_convention_sticks_and_shoulder_buttons_do_what_the_thesis_says():
     read = rested()
     hands = read(NOW, [1.0, -1.0], pressed(0, 4))
@@ -178,7 +196,9 @@ class Joystick:
         return self.buttons[n]
 
 
-def test_a_joystick_is_read_and_its_unplugging_noticed(monkeypatch):
+@pytest.fixture
+def events(monkeypatch):
+    """What happens to the one joystick of a pygame that is made up."""
     events = []
     pygame = types.ModuleType("pygame")
     pygame.JOYDEVICEREMOVED = 1542
@@ -188,6 +208,10 @@ def test_a_joystick_is_read_and_its_unplugging_noticed(monkeypatch):
     )
     pygame.event = types.SimpleNamespace(get=lambda: events)
     monkeypatch.setitem(sys.modules, "pygame", pygame)
+    return events
+
+
+def test_a_joystick_is_read_and_its_unplugging_noticed(events):
     with PygameGamepad() as gamepad:
         stick = gamepad._stick
         stick.axes[0] = 0.05
@@ -206,6 +230,19 @@ def test_a_joystick_is_read_and_its_unplugging_noticed(monkeypatch):
             gamepad.read()
     with pytest.raises(DeviceNotConnectedError, match="hardware/gamepad=keyboard"):
         PygameGamepad(index=1).connect()
+
+
+def test_a_trigger_of_a_joystick_that_was_plugged_in_again_is_not_known_from_before(events):
+    gamepad = PygameGamepad(TRIGGER)
+    with gamepad:
+        gamepad._stick.axes[2] = 0.05
+        gamepad.read()
+        gamepad._stick.axes[2], gamepad._stick.buttons[0] = 0.98, 1
+        assert gamepad.read().insertion > 0.9
+    with gamepad:
+        gamepad.read()  # its driver says 0 until it moves
+        gamepad._stick.axes[2], gamepad._stick.buttons[0] = -0.98, 1
+        assert gamepad.read().insertion == 0.0
 
 
 def test_the_real_pygame_says_that_nothing_is_plugged_in():

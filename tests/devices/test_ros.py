@@ -13,8 +13,8 @@ import pytest
 from clocks import does_not_hang
 from dialogue import wait_until
 
-from ursnav_torch.devices import Frame, Joints, RosBridge, RosGamepad, Stamp
-from ursnav_torch.errors import DeviceNotConnectedError, MissingExtraError
+from ursnav_torch.devices import Frame, GamepadMapping, Joints, RosBridge, RosGamepad, Stamp
+from ursnav_torch.errors import DeviceNotConnectedError, DeviceTimeoutError, MissingExtraError
 from ursnav_torch.geometry import transform_from_quaternion
 
 
@@ -91,6 +91,37 @@ def test_joy_drives_and_silence_lets_go(bridge):
         assert wait_until(driven)
         assert (hands.bend_x, hands.insertion) == (pytest.approx(0.5), 1.0)
         assert wait_until(lambda: not gamepad.read().dead_man)
+
+
+class ToyBridge(RosBridge):
+    """Says what a test's ``/joy`` does; None is silence."""
+
+    now = None
+
+    def _open(self): ...
+    def _close(self): ...
+    def joy(self, timeout_s):
+        if self.now is None:
+            raise DeviceTimeoutError("silent")
+        return self.now
+
+
+@pytest.mark.parametrize("how", ["silence", "reconnection"])
+def test_a_trigger_that_nobody_touches_does_not_drive_after(how):
+    bridge = ToyBridge()
+    gamepad = RosGamepad(bridge, GamepadMapping(axes={"insertion": (0, 1.0)}))
+    with gamepad:
+        bridge.now = ([0.05], [0])
+        gamepad.read()
+        if how == "silence":
+            bridge.now = None
+            gamepad.read()
+        else:
+            gamepad.disconnect()
+            gamepad.connect()
+        bridge.now = ([-1.0], [1])
+        hands = gamepad.read()
+        assert hands.dead_man and hands.insertion == 0.0
 
 
 def test_poses_joints_and_pictures_go_out_in_meters_under_the_fields_names(bridge):

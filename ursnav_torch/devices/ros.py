@@ -147,11 +147,11 @@ class RosGamepad(Gamepad):
 
     def __init__(self, bridge: RosBridge, mapping: GamepadMapping | None = None, silence_s: float = 0.3) -> None:
         super().__init__()
-        self.bridge, self.silence_s = bridge, silence_s
-        self._mapped = MappedInput(mapping or GamepadMapping())
+        self.bridge, self.mapping, self.silence_s = bridge, mapping or GamepadMapping(), silence_s
+        self._mapped = MappedInput(self.mapping)
 
     def read(self) -> OperatorInput:
-        """The newest ``/joy``; nothing held when it is too old."""
+        """The newest ``/joy``; nothing held when it is too old, and each axis must then be seen at rest again."""
         self._check_connected()
         try:
             axes, buttons = self.bridge.joy(self.silence_s)
@@ -161,6 +161,7 @@ class RosGamepad(Gamepad):
 
     def _open(self) -> None:
         self.bridge.connect()
+        self._mapped = MappedInput(self.mapping)
 
     def _close(self) -> None:
         self.bridge.disconnect()

@@ -24,8 +24,8 @@ class PygameGamepad(Gamepad):
 
     def __init__(self, mapping: GamepadMapping | None = None, index: int = 0) -> None:
         super().__init__()
-        self.index = index
-        self._mapped = MappedInput(mapping or GamepadMapping())
+        self.index, self.mapping = index, mapping or GamepadMapping()
+        self._mapped = MappedInput(self.mapping)
         self._pygame: Any = None
         self._stick: Any = None
 
@@ -59,6 +59,7 @@ class PygameGamepad(Gamepad):
                 "hardware/gamepad=keyboard."
             )
         self._stick = self._pygame.joystick.Joystick(self.index)
+        self._mapped = MappedInput(self.mapping)  # what another stick, or this one before, was seen to do is past
 
     def _close(self) -> None:
         if self._pygame:

@@ -63,7 +63,7 @@ class MappedInput:
 
     An analog trigger rests at -1, which would mean full speed back: an axis drives only if it was at rest with the dead
     man's button released. Drivers say 0 of an axis until it first moves, so one whose first word is a jump does not
-    drive either until it was seen at rest.
+    drive either until it was seen at rest. An axis that was not reported begins anew: silence is not rest.
     """
 
     def __init__(self, mapping: GamepadMapping) -> None:
@@ -74,7 +74,7 @@ class MappedInput:
         self._spoken: set[str] = set()
 
     def __call__(self, stamp: Stamp, axes: Sequence[float], buttons: Sequence[int]) -> OperatorInput:
-        """The operator's input of this moment; axes and buttons that the device lacks count as at rest."""
+        """The operator's input of this moment; axes that are not reported drive nothing, buttons are up."""
         down = {name for name, n in self._mapping.buttons.items() if n < len(buttons) and buttons[n]}
         went_down, self._down = down - self._down, down
         light = round(self._axis("light", axes))
@@ -100,7 +100,11 @@ class MappedInput:
         """Learn which axes are at rest; only with the dead man's button released can one become fit to drive."""
         for name in DRIVING:
             number, _ = self._mapping.axes.get(name, (-1, 0.0))
-            value = axes[number] if 0 <= number < len(axes) else 0.0
+            if not 0 <= number < len(axes):
+                self._fit.discard(name)
+                self._spoken.discard(name)
+                continue
+            value = axes[number]
             at_rest = past_dead_zone(value, self._mapping.dead_zone) == 0.0
             first_word = name not in self._spoken and value != 0.0
             if value != 0.0:
