@@ -7,19 +7,24 @@ import numpy as np
 import pytest
 from dialogue import wait_until
 
-from ursnav_torch.devices import CommandSample, Gamepad, Note, OperatorInput, RobotLight
+from ursnav_torch.devices import CommandSample, Gamepad, GrblRobot, Note, OperatorInput, RobotLight, RosserialRobot
 from ursnav_torch.errors import DeviceError, DeviceNotConnectedError, InputError
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.session import Control, Rig, build_rig
+from ursnav_torch.session.open import open_session
 from ursnav_torch.simulation import (
     SimulatedGrblRobot,
     SimulatedNdiTracker,
     SimulatedOpenIgtlTracker,
     SimulatedRosserialRobot,
+    SteppedRobot,
     Twin,
     TwinCamera,
+    TwinPilot,
     World,
 )
+from ursnav_torch.simulation.grbl_board import GrblBoard
+from ursnav_torch.simulation.port import SimulatedPort
 
 
 def open_space(points):
@@ -187,3 +192,41 @@ def test_devices_that_need_what_is_not_there_are_refused():
     with pytest.raises(InputError, match="there is no robot"):
         build_rig(light=partial(RobotLight))
     assert build_rig() == Rig()
+
+
+def test_robots_say_whether_they_are_simulated():
+    assert not GrblRobot.simulated and not RosserialRobot.simulated
+    assert SimulatedGrblRobot.simulated and SimulatedRosserialRobot.simulated and SteppedRobot.simulated
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_from_the_page_only_a_simulated_robot_moves_whatever_else_is_simulated(simulated):
+    port = SimulatedPort(GrblBoard(), period_s=0.002)
+    hardware = partial(
+        build_rig,
+        tracker=partial(SimulatedNdiTracker),
+        robot=partial(SimulatedGrblRobot) if simulated else partial(GrblRobot, port.path),
+        gamepad=Hands(),
+        twin=lambda world: Twin(open_space, picture, transform_from(np.eye(3), [0.0, 0.0, 0.0])),
+    )
+    try:
+        with open_session(hardware, lambda: World(None, None)) as session:
+            console = session.controls.console
+            console.arm()
+            console.drive("forward")
+            hands = console.read()
+            assert (hands.arm, hands.dead_man, hands.insertion) == (simulated, simulated, float(simulated))
+    finally:
+        port.close()
+
+
+@pytest.mark.parametrize("robot", [partial(GrblRobot, "/dev/none"), partial(RosserialRobot, ["/dev/none"])])
+def test_the_simulations_pilot_is_refused_a_robot_that_is_not_simulated(robot, phantom):
+    twin = Twin(open_space, picture, transform_from(np.eye(3), [0.0, 0.0, 0.0]))
+    build = partial(build_rig, gamepad=partial(TwinPilot), twin=lambda world: twin, world=lambda: World(phantom, None))
+    with pytest.raises(InputError, match=r"Robot is not simulated.*choose hardware/gamepad=pygame"):
+        build(robot=robot)
+    assert build().robot is None
+    rig = build(robot=partial(SimulatedGrblRobot))
+    assert isinstance(rig.gamepad, TwinPilot)
+    rig.close()

@@ -108,7 +108,8 @@ def _open_rig(
     rig: Rig, duration_s: float, watched: bool, stack: contextlib.ExitStack, between: Between | None
 ) -> Session:
     clock: Callable[[], float] = rig.clock or time.monotonic
-    console = Console(rig.gamepad, rig.robot, may_drive=rig.twin is not None, stay=watched, clock=clock)
+    may_drive = rig.robot is not None and rig.robot.simulated
+    console = Console(rig.gamepad, rig.robot, may_drive, stay=watched, clock=clock)
     hands: Gamepad = console
     if between is not None:
         hands = between(console, rig, watched)

@@ -19,7 +19,7 @@ from ursnav_torch.devices import (
 )
 from ursnav_torch.errors import DeviceError, InputError
 from ursnav_torch.kidney import Kidney
-from ursnav_torch.simulation import SimulatedTime, Twin, World
+from ursnav_torch.simulation import SimulatedTime, Twin, TwinPilot, World
 from ursnav_torch.threads import share_arenas
 
 #: What a rig gives to its devices, by type.
@@ -95,7 +95,8 @@ def build_rig(
         world: makes the anatomy for the twin; called only then.
 
     Raises:
-        InputError: a simulated device is asked for where there is no twin or no world.
+        InputError: a simulated device is asked for where there is no twin or no world, or the simulation's pilot is to
+            drive a robot that is not simulated.
     """
     choices = (camera, tracker, robot, light, gamepad, output)
     parts: dict[type, Any] = {}
@@ -105,15 +106,26 @@ def build_rig(
         the_world = world()
         parts = {Twin: twin(the_world), Kidney: the_world.kidney}
     parts[Robot] = _make(robot, parts)
+    hands = _make(gamepad, parts)
+    _check_hands(hands, parts[Robot])
     return Rig(
         camera=_make(camera, parts),
         tracker=_make(tracker, parts),
         robot=parts[Robot],
         light=_make(light, parts),
-        gamepad=_make(gamepad, parts),
+        gamepad=hands,
         output=_make(output, parts),
         twin=parts.get(Twin),
     )
+
+
+def _check_hands(hands: Gamepad | None, robot: Robot | None) -> None:
+    """A pilot holds the dead-man button for ever and arms again by itself: nothing real may hang on it."""
+    if isinstance(hands, TwinPilot) and robot is not None and not robot.simulated:
+        raise InputError(
+            f"{type(robot).__name__} is not simulated, and the simulation's pilot must not drive it; choose "
+            "hardware/gamepad=pygame (or keyboard, ros, none), or hardware/robot=simulated_grbl."
+        )
 
 
 def _wanted(choice: Choice) -> dict[str, type]:

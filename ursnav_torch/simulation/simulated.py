@@ -125,6 +125,8 @@ class TwinCamera(LensCamera):
 class SimulatedGrblRobot(GrblRobot):
     """The GRBL driver with a simulated board; takes the driver's other settings."""
 
+    simulated = True
+
     def __init__(self, twin: Twin, **settings: Any) -> None:
         self.board = GrblBoard()
         self.board_port = SimulatedPort(self.board)
@@ -143,6 +145,8 @@ class SimulatedGrblRobot(GrblRobot):
 
 class SimulatedRosserialRobot(RosserialRobot):
     """The rosserial driver with a simulated board; takes the driver's other settings."""
+
+    simulated = True
 
     def __init__(self, twin: Twin, **settings: Any) -> None:
         self.board = RosserialBoard()

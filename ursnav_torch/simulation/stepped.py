@@ -73,6 +73,8 @@ class SteppedRobot(Robot):
         limits: joint limits and speed caps.
     """
 
+    simulated = True
+
     def __init__(self, clock: Callable[[], float], drive: Drive | None = None, limits: Limits | None = None) -> None:
         super().__init__(limits or Limits(), horizon_s=0.12, watchdog_s=0.5, tolerance=1e-6)
         self.drive, self._clock = drive or Drive(), clock

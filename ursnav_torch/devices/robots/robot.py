@@ -7,6 +7,7 @@ import math
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +42,14 @@ class Robot(Device):
 
     Attributes:
         drive: what its axes do to the joints; every driver has one.
+        simulated: whether nothing real moves; only then may a page or a pilot arm and drive it.
 
     Raises:
         InputError: ``horizon_s`` is not between 0 and 0.15, or ``watchdog_s`` not above it up to 0.5.
     """
 
     drive: Drive
+    simulated: ClassVar[bool] = False
 
     def __init__(self, limits: Limits, horizon_s: float, watchdog_s: float, tolerance: float | Array) -> None:
         super().__init__()
