@@ -3,6 +3,7 @@
 import ast
 import os
 import random
+import signal
 import subprocess
 import sys
 import textwrap
@@ -17,6 +18,7 @@ from benchmarks.safety.frozen import SPEED_MM_S, WAYS, freeze
 from ursnav_torch.devices import GrblRobot, JointRates, RosserialRobot
 from ursnav_torch.devices.robots.guardian import Guardian
 from ursnav_torch.devices.robots.robot import BLIND_S
+from ursnav_torch.errors import DeviceError
 from ursnav_torch.simulation.grbl_board import GrblBoard
 from ursnav_torch.simulation.port import SimulatedPort
 from ursnav_torch.simulation.rosserial_board import RosserialBoard
@@ -90,6 +92,32 @@ def scene(request):
     ports = repr(port.path) if request.param == "GrblRobot" else repr([port.path])
     yield request.param, ports, board, place
     port.close()
+
+
+def killed(guardian):
+    os.kill(guardian._process.pid, signal.SIGKILL)
+    assert wait_until(lambda: not guardian.is_alive)
+
+
+def test_an_armed_robot_whose_guardian_dies_is_stopped_and_arming_starts_another(scene):
+    kind, ports, board, _ = scene
+    forward = JointRates(insertion_mm_s=2.0)
+    with (GrblRobot if kind == "GrblRobot" else RosserialRobot)(ast.literal_eval(ports)) as robot:
+        robot.arm()
+        robot.command(forward, True)
+        killed(robot._guardian)
+        with pytest.raises(DeviceError, match="second watchdog's process has ended"):
+            robot.command(forward, True)
+        assert robot.gate.state == "stopped" and "second watchdog" in robot.command(forward, True).reason
+        assert wait_until(lambda: not board.moving, 1.0)
+        robot.acknowledge()
+        robot.confirm_place()
+        assert robot.arm() and robot._guardian.is_alive
+        assert not robot.command(forward, True).sent.is_zero
+        robot.disarm()
+        killed(robot._guardian)
+        assert robot.command(forward, True).reason.startswith("disarmed")  # nothing moves that had to be watched
+        assert robot.arm() and robot._guardian.is_alive
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ class Robot(Device):
 
     It starts disarmed. Every fault of the link, an alarm of the controller and `emergency_stop` stop it until
     `acknowledge` and `arm`. If it is armed and not commanded for ``watchdog_s``, it is stopped and disarmed, by a
-    thread and, should the interpreter be frozen, by a process of its own.
+    thread and, should the interpreter be frozen, by a process of its own; should that one end, the robot is stopped.
 
     A controller that was reset counts from zero wherever it stands: the place is then lost, `read` gives the last
     certain one, and nothing can be armed until `confirm_place` or `set_place`. Limits hold for the true place.
@@ -88,6 +88,8 @@ class Robot(Device):
         self._check_connected()
         if not self.place.is_known:
             return False
+        if self._guardian is not None and not self._guardian.is_alive:
+            self._dismiss_guardian()
         if self._guardian is None and (stops := self._stops()):
             self._guardian = Guardian(stops, self.watchdog_s)
         return self.gate.arm()
@@ -178,12 +180,12 @@ class Robot(Device):
             What was really sent, after gate, caps and limits, and why it differs.
 
         Raises:
-            DeviceError: the link or the controller failed; the robot was stopped as well as it can be.
+            DeviceError: the link, the controller or the second watchdog failed; the robot was stopped as well as it can
+                be.
         """
         self._check_connected()
         refusal = self.gate.refusal(dead_man)
-        if self._guardian is not None:
-            self._guardian.feed(self.gate.state == ARMED)
+        self._feed_guardian()
         sent = JointRates()
         if refusal or wanted.is_zero:
             if not self._still:
@@ -283,6 +285,17 @@ class Robot(Device):
     def _stops(self) -> dict[int, bytes]:
         """File descriptors of the ports and what stops the robot there; empty where there are none to share."""
         return {}
+
+    def _feed_guardian(self) -> None:
+        """Tell the second watchdog that the program runs; a robot that it no longer watches is stopped."""
+        guardian = self._guardian
+        if guardian is None:
+            return
+        guardian.feed(self.gate.state == ARMED)
+        if not guardian.is_alive and self.gate.state == ARMED:  # asked last: who dismisses it has disarmed before
+            reason = "the second watchdog's process has ended; acknowledge, and arming starts another"
+            self.emergency_stop(reason)
+            raise DeviceError(f"The robot was stopped: {reason}.")
 
     def _dismiss_guardian(self) -> None:
         """End the second watchdog: its ports are closed, or others are opened."""
