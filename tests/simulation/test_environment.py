@@ -1,7 +1,10 @@
 """The twin as a Gymnasium environment."""
 
+import threading
+
 import numpy as np
 import pytest
+from dialogue import wait_until
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -50,6 +53,22 @@ def test_an_episode_is_cut_off_after_its_time(env):
     env.reset(seed=1)
     cut = [env.step(np.zeros(3))[3] for _ in range(17)]
     assert cut == [False] * 16 + [True]
+
+
+def test_a_new_episode_and_the_end_disconnect_the_robot_of_the_one_before(vid):
+    def watchdogs():
+        return [t for t in threading.enumerate() if t.name == "robot-watchdog" and t not in before]
+
+    before, env = threading.enumerate(), ScopeEnv(vid, pictures=False)
+    env.close()  # nothing was begun
+    robots = []
+    for seed in range(3):
+        env.reset(seed=seed)
+        robots.append(env.robot)
+    assert [robot.is_connected for robot in robots] == [False, False, True]
+    assert wait_until(lambda: len(watchdogs()) == 1)
+    env.close()
+    assert not env.robot.is_connected and wait_until(lambda: not watchdogs())
 
 
 def test_stones_lie_where_the_seed_puts_them_stop_the_scope_and_are_in_the_pictures(vid):

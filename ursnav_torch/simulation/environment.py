@@ -5,6 +5,7 @@ seen, _ = env.reset(seed=1)
 seen, reward, done, cut, facts = env.step([0.0, 0.2, 1.0])
 """
 
+from contextlib import ExitStack
 from typing import Any
 
 import cv2
@@ -77,7 +78,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         if pictures:
             spaces["picture"] = box(0, 255, (vid.camera.height, vid.camera.width), np.uint8)
         self.observation_space = gymnasium.spaces.Dict(spaces)
-        self._clock = SimulatedTime()
+        self._clock, self._episode = SimulatedTime(), ExitStack()
 
     @property
     def now_s(self) -> float:
@@ -89,6 +90,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin anew, withdrawn in the pelvis; the seed draws roll, plays, tissue and stones."""
         super().reset(seed=seed)
+        self.close()
         rng, kidney = self.np_random, self.vid.kidney
         self._clock, self.coverage = SimulatedTime(), self._clean
         self.coverage.seen_s[:] = 0.0
@@ -99,8 +101,7 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         self._stones = lay_stones(kidney, self.vid.lumen, self._count, rng)
         draw = self._with_stones if self._stones else clean
         self.twin = operated_twin(self._world(), T_kidney_start, Scope(backlash=plays), tissue, draw=draw)
-        self.robot = SteppedRobot(self._clock, self.twin.scope.drive)
-        self.robot.connect()
+        self.robot = self._episode.enter_context(SteppedRobot(self._clock, self.twin.scope.drive))
         self.robot.arm()
         self.twin.drive_with(self.robot.axes_mm)
         self._shares = np.zeros(len(kidney.calyces))
@@ -132,8 +133,8 @@ class ScopeEnv(gymnasium.Env):  # type: ignore[name-defined]
         return np.repeat(self.twin.image()[..., None], 3, axis=2)
 
     def close(self) -> None:
-        """Disconnect the robot."""
-        self.robot.disconnect()
+        """Disconnect the robot of the episode, if one was begun; `reset` begins another."""
+        self._episode.close()
 
     def _world(self) -> World:
         camera = self.vid.camera
