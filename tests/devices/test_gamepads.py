@@ -84,6 +84,9 @@ def test_convention_sticks_and_shoulder_buttons_do_what_the_thesis_says():
 
 def test_buttons_count_once_but_the_stop_as_long_as_it_is_held():
     read = MappedInput(GamepadMapping())
+    held = read(NOW, [], pressed(1, 2, 7))
+    assert not (held.snapshot or held.arm) and held.emergency_stop, "held from before, but for the stop not pressed"
+    read(NOW, [], pressed())
     first, second = read(NOW, [], pressed(1, 2, 7)), read(NOW, [], pressed(1, 2, 7))
     assert (first.snapshot, first.arm, first.emergency_stop) == (True, True, True)
     assert (second.snapshot, second.arm, second.emergency_stop) == (False, False, True)

@@ -59,24 +59,26 @@ class GamepadMapping:
 
 
 class MappedInput:
-    """Turns raw axes and buttons into the operator's wishes, and remembers which buttons were down.
+    """Turns raw axes and buttons into the operator's wishes, and remembers which buttons were up.
 
     An analog trigger rests at -1, which would mean full speed back: an axis drives only if it was at rest with the dead
     man's button released. Drivers say 0 of an axis until it first moves, so one whose first word is a jump does not
     drive either until it was seen at rest. An axis that was not reported begins anew: silence is not rest.
+    A button that is held when it is first heard of, or heard of again, was not pressed.
     """
 
     def __init__(self, mapping: GamepadMapping) -> None:
         self._mapping = mapping
-        self._down: set[str] = set()
+        self._up: set[str] = set()  # buttons that were reported, and not held
         self._light = 0
         self._fit: set[str] = set()
         self._spoken: set[str] = set()
 
     def __call__(self, stamp: Stamp, axes: Sequence[float], buttons: Sequence[int]) -> OperatorInput:
         """The operator's input of this moment; axes that are not reported drive nothing, buttons are up."""
-        down = {name for name, n in self._mapping.buttons.items() if n < len(buttons) and buttons[n]}
-        went_down, self._down = down - self._down, down
+        told = {name: bool(buttons[n]) for name, n in self._mapping.buttons.items() if n < len(buttons)}
+        down = {name for name, held in told.items() if held}
+        went_down, self._up = down & self._up, set(told) - down
         light = round(self._axis("light", axes))
         light_step = ("light_up" in went_down) - ("light_down" in went_down) + (light if light != self._light else 0)
         self._light = light
