@@ -5,10 +5,11 @@ import os
 import struct
 import threading
 import time
+from dataclasses import replace
 
 import pytest
-from clocks import does_not_hang
-from dialogue import dialogue
+from clocks import Clock, does_not_hang, runs_on
+from dialogue import dialogue, wait_until
 from fastcrc import crc16
 from hypothesis import given
 from hypothesis import strategies as st
@@ -101,6 +102,33 @@ def test_faults_of_a_reading_raise_the_right_error_within_the_deadline(answer, e
     with dialogue([*START, (BX, answer), STOP]) as (path, _, _), NdiTracker(path) as tracker:
         with does_not_hang(), pytest.raises(error, match=text):
             tracker.read(timeout_s=0.3)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
+@pytest.mark.parametrize("in_time", [0, 20])
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(delay_s, in_time):
+    late = pack_bx([SEEN])
+    now = replace(SEEN, position_mm=(9.0, 9.0, 9.0), frame=90)
+    asked = [(BX, late[:in_time]), (BX, pack_bx([now])), (BX, pack_bx([HIDDEN]))]
+    with dialogue([*START, *asked, STOP]) as (path, _, port), NdiTracker(path) as tracker:
+        with pytest.raises(DeviceTimeoutError):
+            tracker.read(timeout_s=0.1)
+        rest = threading.Timer(delay_s, lambda: os.write(port._master, late[in_time:]))
+        rest.start()
+        time.sleep(0.0 if delay_s else 0.1)
+        assert [tracker.read(timeout_s=20.0).source_frame for _ in range(2)] == [90, 8]
+        rest.join()
+
+
+def test_an_answer_that_is_owed_is_waited_for_before_the_next_is_asked_for_and_not_for_ever(monkeypatch):
+    with dialogue([*START, (BX, b""), (BX, pack_bx([SEEN])), STOP]) as (path, board, _):
+        with NdiTracker(path) as tracker:
+            runs_on(Clock(), "ursnav_torch.devices.trackers.ndi", monkeypatch)
+            for says in ("did not send", "still owes"):
+                with pytest.raises(DeviceTimeoutError, match=says):
+                    tracker.read(timeout_s=0.5)
+                assert wait_until(lambda: len(board.steps) == 2)
+            assert tracker.read(timeout_s=20.0).source_frame == 7
 
 
 def test_no_tool_plugged_in_is_refused():

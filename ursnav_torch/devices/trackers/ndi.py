@@ -22,6 +22,8 @@ from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutE
 BX_START = b"\xc4\xa5"
 VALID, MISSING, DISABLED = 1, 2, 4
 INIT_PAUSE_S, RESET_S, INIT_TRY_S = 0.1, 5.0, 0.5
+#: An answer has ended where no byte came for so long; USB adapters hold bytes back for up to 16 ms.
+QUIET_S = 0.05
 ERRORS = {
     "01": "invalid command",
     "04": "wrong CRC of the command",
@@ -97,7 +99,7 @@ class NdiTracker(EmTracker):
         port: device path or pyserial URL.
         tool: which of the plugged-in tools, counted from 0.
         dof: 5 for a sensor that does not know its roll (thesis §4.3.2), 6 otherwise.
-        deadline_s: how long the unit may take for a text command.
+        deadline_s: how long the unit may take for a text command; poses that have not come by then are lost.
         rate_hz: the unit's own rate; a sample is a new frame number.
 
     Raises:
@@ -112,6 +114,7 @@ class NdiTracker(EmTracker):
         self._link: SerialLink | None = None
         self._handle = 0
         self._frame, self._next_s = -1, 0.0
+        self._late_until_s = -math.inf  # an answer that nobody waited for may come until then
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
         """Wait for the tool's next frame; raises as `EmTracker.read` does, and DeviceProtocolError."""
@@ -129,11 +132,33 @@ class NdiTracker(EmTracker):
 
     def _poll(self, deadline: float) -> NdiTool:
         """Ask once for all poses and pick ours."""
-        self._port().write(message("BX:0801"))
-        for pose in unpack_bx_body(self._read_bx(deadline)):
+        self._drop_late(deadline)
+        asked_s = time.monotonic()
+        try:
+            self._port().write(message("BX:0801"))
+            body = self._read_bx(deadline)
+        except DeviceTimeoutError:
+            self._late_until_s = asked_s + self.deadline_s
+            self._port().discard_input()  # its beginning, if that came: its end is to be waited for
+            raise
+        for pose in unpack_bx_body(body):
             if pose.handle == self._handle:
                 return pose
         raise DeviceProtocolError(f"{self.port}: tool handle {self._handle:02X} is gone; was it unplugged?")
+
+    def _drop_late(self, deadline: float) -> None:
+        """Wait out an answer that came too late for its question: the next question's would be taken for now's.
+
+        Raises:
+            DeviceTimeoutError: it may still come.
+        """
+        while (now := time.monotonic()) < self._late_until_s:
+            if self._port().read_available():
+                self._late_until_s = now + QUIET_S
+            if now > deadline:
+                raise DeviceTimeoutError(f"{self.port}: the tracker still owes the answer to an earlier question.")
+            time.sleep(0.1 * QUIET_S)
+        self._port().discard_input()
 
     def _read_bx(self, deadline: float) -> bytes:
         start = self._port().read_exactly(2, deadline - time.monotonic())
@@ -160,6 +185,7 @@ class NdiTracker(EmTracker):
 
     def _open(self) -> None:
         self._link = SerialLink(self.port, 9600)
+        self._late_until_s = -math.inf
         self._initialize()
         self._ask("COMM:50000")
         self._link.set_baud(115200)
