@@ -78,6 +78,18 @@ def test_convention_the_offset_is_in_the_camera_frame() -> None:
     np.testing.assert_allclose(found.p, 1, atol=1e-9)
 
 
+def test_convention_the_offset_and_the_sensors_error_are_in_mm_of_the_em_frame() -> None:
+    rng = np.random.default_rng(4)
+    em = rng.normal(0, 25, (8, 3))
+    registration = register_landmarks(em, 1.8 * em, with_scale=True)
+    T = look_along(rng.normal(0, 10, (5, 3)), rng.normal(size=(5, 3)), rng.uniform(-1, 1, 5))
+    sensor = apply(T, 1.8 * np.broadcast_to(OFFSET_MM, (5, 3))) / 1.8
+    budget = ErrorBudget(em_mm=5.0, match_mm=1e-3, match_axis_deg=1e-3)
+    found = compare_poses(T, sensor, T[:, :3, 2], registration, OFFSET_MM, budget)
+    np.testing.assert_allclose(found.distance_mm, 0, atol=1e-9)
+    np.testing.assert_allclose(found.expected_mm, 1.8 * 5.0, rtol=1e-3)
+
+
 def test_p_values_of_right_matches_are_uniform() -> None:
     rng = np.random.default_rng(0)
     budget, offset, p = ErrorBudget(), OFFSET_MM, []

@@ -116,6 +116,20 @@ def test_reference_pairs_give_the_thesis_threshold(run: Callable[..., Any], case
     assert "confusion" not in data and "from reference pairs" in done.out
 
 
+def test_a_fitted_scale_is_that_of_the_sensors_error_in_the_threshold_too(
+    run: Callable[..., Any], case: Case, tmp_path: Path
+) -> None:
+    data = json.loads(case.em_to_kidney.read_text(encoding="utf-8")) | {"scale": 1.2}
+    case.em_to_kidney.write_text(json.dumps(data), encoding="utf-8")
+    em = np.random.default_rng(2).normal(0, 20, (5, 3))
+    rows = np.c_[1.2 * em @ np.array(data["R"]).T + data["t_mm"] + [9.0, 0.0, 0.0], em]
+    columns = ("kidney_x_mm", "kidney_y_mm", "kidney_z_mm", "em_x_mm", "em_y_mm", "em_z_mm")
+    pairs = write_rows(tmp_path / "pairs.csv", columns, [dict(zip(columns, row, strict=True)) for row in rows.tolist()])
+    out = tmp_path / "v.json"
+    run("validate", *case.overrides(out), f"reference_pairs={pairs}", "em_mm=0.7")
+    assert json.loads(out.read_text(encoding="utf-8"))["threshold_mm"] == pytest.approx(9.0 + 1.2 * 0.7)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -15,7 +15,7 @@ from ursnav_torch.units import other_units
 
 Array = NDArray[np.float64]
 
-#: Root mean square noise of a 5-DoF sensor, and how far the kidney moves on its own, mm.
+#: Root mean square noise of a 5-DoF sensor, mm of the EM frame; how far the kidney moves on its own, mm of the kidney.
 SENSOR_MM, BREATH_MM = 0.7, 0.8
 #: A scope in the kidney has its sensor no farther than this outside the lumen's bounds, mm.
 _FAR_MM = 100.0
@@ -30,7 +30,7 @@ def readings_in_kidney(
 
     Args:
         em_to_kidney: the file that `register` made.
-        offset_camera_mm: (3,) the sensor's place in the camera frame.
+        offset_camera_mm: (3,) the sensor's place in the camera frame, mm of the EM frame.
 
     Raises:
         InputError: one of them cannot be used.
@@ -39,11 +39,12 @@ def readings_in_kidney(
     if offset.shape != (3,) or not np.isfinite(offset).all():
         raise InputError(f"sensor_offset_mm must be [x,y,z] in mm in the camera frame, got {offset_camera_mm}.")
     registration = Registration.from_json(em_to_kidney)
+    offset, sensor_mm = registration.scale * offset, registration.scale * SENSOR_MM
 
     def readings(position_em_mm: ArrayLike) -> list[SensorReading | None]:
         position = registration.apply(np.asarray(position_em_mm, float))
         tre = np.nan_to_num(registration.tre_mm(position))
-        sigma = np.sqrt((SENSOR_MM**2 + tre**2 + BREATH_MM**2) / 3)
+        sigma = np.sqrt((sensor_mm**2 + tre**2 + BREATH_MM**2) / 3)
         return [
             SensorReading(p, offset, float(s)) if np.isfinite(p).all() else None
             for p, s in zip(position, sigma, strict=True)

@@ -21,7 +21,7 @@ class ErrorBudget:
     """Root mean square errors of what is compared, besides the registration's own.
 
     Attributes:
-        em_mm: position of the sensor (Aurora 5-DoF: 0.7, thesis section 4.3.2).
+        em_mm: position of the sensor, mm of the EM frame (Aurora 5-DoF: 0.7, thesis section 4.3.2).
         em_axis_deg: direction of its axis.
         match_mm: position of a right match, match_axis_deg: its optical axis. Generous for a localizer with medians of
             0.6 mm and 5.5 degrees (`python -m benchmarks.accuracy`), since its errors have tails.
@@ -83,7 +83,8 @@ def camera_errors(registration: Registration, em_mm: ArrayLike, camera_mm: Array
 def position_threshold(e_cam_mm: ArrayLike, em_mm: float = 0.7) -> float:
     """Largest distance of a right match, mm: mean and deviation of ``e_cam`` (N,) plus the sensor's error, Eq. 4.3-4.4.
 
-    The registration's error is in ``e_cam`` already. The deviation is the sample's (n - 1), as in table 5.2.
+    The registration's error is in ``e_cam`` already; ``em_mm`` is in mm of the kidney, as ``e_cam`` is. The deviation
+    is the sample's (n - 1), as in table 5.2.
 
     Raises:
         InputError: fewer than two reference pairs, or a value that is not finite.
@@ -112,7 +113,7 @@ def compare_poses(
         T_kidney_camera: (N, 4, 4) matched poses.
         sensor_em: (N, 3) sensor positions, EM frame; axis_em: (N, 3) axes, NaN rows where they are not known.
         registration: EM to kidney.
-        sensor_offset_mm: (3,) sensor in the camera frame.
+        sensor_offset_mm: (3,) sensor in the camera frame, mm of the EM frame.
         budget: root mean square errors.
 
     Raises:
@@ -128,7 +129,7 @@ def compare_poses(
             f"{axis.shape} and {offset.shape}."
         )
     measured, direction = registration.apply(sensor), registration.apply_direction(axis)
-    arm = T[:, :3, :3] @ offset
+    arm = T[:, :3, :3] @ (registration.scale * offset)
     away = T[:, :3, 3] + arm - measured
     covariance = _covariance(measured, arm, registration, budget)
     p = chi2.sf(_mahalanobis(away, covariance[:, :3, :3]), 3)
@@ -170,7 +171,7 @@ def _covariance(sensor: Array, arm: Array, registration: Registration, budget: E
     A wrong optical axis moves the place of the sensor too, by its distance from the camera.
     """
     N, eye = len(sensor), np.eye(3)
-    position = (budget.em_mm**2 + budget.match_mm**2) / 3 * eye
+    position = ((registration.scale * budget.em_mm) ** 2 + budget.match_mm**2) / 3 * eye
     turn = (np.radians(budget.match_axis_deg) ** 2 / 2) * eye
     lever = np.concatenate([-skew(arm), np.broadcast_to(eye, (N, 3, 3))], axis=1)
     C = lever @ turn @ np.swapaxes(lever, 1, 2)

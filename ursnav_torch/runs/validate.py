@@ -138,7 +138,7 @@ def judge_matches(
     comparison = compare_poses(T, sensor, axis, registration, np.array(sensor_offset_mm or (0.0, 0.0, 0.0)), budget)
     distance = np.full(len(rows), np.nan)
     if len(e_cam):
-        threshold = position_threshold(e_cam, budget.em_mm)
+        threshold = position_threshold(e_cam, registration.scale * budget.em_mm)
         distance[usable] = camera_errors(registration, sensor, T[:, :3, 3])
     else:
         threshold = float(np.median(comparison.expected_mm) * np.sqrt(chi2.isf(least_p, 3) / 3))
