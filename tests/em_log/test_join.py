@@ -104,8 +104,16 @@ def test_readings_that_are_not_visible_do_not_count(tmp_path: Path) -> None:
 
 def test_names_join_exactly_before_loosely() -> None:
     names = ["a/1.png", "b/1.png", "003.jpg"]
-    assert join_names(names, ["b/1.png", "1.png", "3", "x/003.png", "4"]).tolist() == [1, -1, 2, 2, -1]
+    assert join_names(names, ["b/1.png", "1.png", "3", "4"]).tolist() == [1, -1, 2, -1]
+    assert join_names(names, ["x/003.png"]).tolist() == [2]
     assert join_names(["0" * 5000 + "7"], ["7"]).tolist() == [0]
+
+
+def test_pictures_of_one_name_in_different_folders_share_no_row() -> None:
+    pictures = ["a/0001.png", "b/0001.png", "a/0002.png"]
+    assert join_names(["0001.png", "0002.png"], pictures).tolist() == [-1, -1, 1]
+    assert join_names(["a/0001.png", "0002"], pictures).tolist() == [0, -1, 1]
+    assert join_names(["0001.png"], ["a/0001.png", "a/0001.png"]).tolist() == [0, 0]  # one picture, named twice
 
 
 def test_given_logs_of_public_complaints(cases: Path) -> None:

@@ -25,12 +25,12 @@ def join_names(names: Sequence[str], images: Sequence[str]) -> Rows:
     """(M,) row of ``names`` that belongs to each image, -1 where none does.
 
     The same name counts first, at its first row; then the same name without folder, ending and leading zeros, unless
-    two rows share it.
+    two rows or two images share it.
     """
     exact = {name: i for i, name in reversed(list(enumerate(names)))}
     plain = [_plain(name) for name in names]
-    count = Counter(plain)
-    loose = {name: i for i, name in enumerate(plain) if count[name] == 1}
+    count, pictures = Counter(plain), Counter(_plain(image) for image in set(images))
+    loose = {name: i for i, name in enumerate(plain) if count[name] == 1 and pictures[name] == 1}
     return np.array([exact.get(image, loose.get(_plain(image), -1)) for image in images], int)
 
 
