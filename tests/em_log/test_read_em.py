@@ -93,6 +93,26 @@ def test_words_for_a_sensor_that_was_not_visible(tmp_path: Path, cells: str) -> 
     assert np.isnan(samples.axis[1]).all()
 
 
+@pytest.mark.parametrize("word", ["-9999", "-1", "999"])
+def test_a_word_for_not_visible_in_the_direction_too_is_no_direction(tmp_path: Path, word: str) -> None:
+    rows = [f"{200 + i},-30,80,0,0,1" for i in range(12)]
+    rows[3:5] = [",".join([word] * 6)] * 2
+    samples = read_em_samples(write(tmp_path / "em.csv", "x_mm,y_mm,z_mm,dx,dy,dz", rows))
+    assert np.flatnonzero(~samples.seen).tolist() == [3, 4]
+    np.testing.assert_array_equal(np.isfinite(samples.axis).all(axis=1), samples.seen)
+
+
+def test_a_quaternion_counts_only_where_the_sensor_is_visible(tmp_path: Path) -> None:
+    rows = ["200,-30,80,0,0,0,1,1", "201,-31,80,-9999,-9999,-9999,-9999,0", "202,-32,80,0,0,0,1,1"]
+    path = tmp_path / "em.csv"
+    samples = read_em_samples(write(path, "x_mm,y_mm,z_mm,qx,qy,qz,qw,visible", rows))
+    assert samples.seen.tolist() == [True, False, True] and samples.quaternion is not None
+    assert np.isnan(samples.quaternion[1]).all() and np.isnan(samples.axis[1]).all()
+    rows[1] = rows[1].removesuffix("0") + "1"
+    with pytest.raises(InputError, match="line 3: the quaternion has the length"):
+        read_em_samples(write(path, "x_mm,y_mm,z_mm,qx,qy,qz,qw,visible", rows))
+
+
 @pytest.mark.parametrize(
     ("column", "seen", "unseen"),
     [

@@ -19,6 +19,7 @@ from ursnav_torch.tables import Row, number, read_csv
 from ursnav_torch.units import LENGTH_MM
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 #: A quaternion may be so much longer or shorter than 1, by rounding.
 _LONGER = 0.02
@@ -51,9 +52,9 @@ def read_em_samples(path: str | Path, form: EmFormat | None = None) -> EmSamples
     rows = rows_of_one_sensor(rows, names, form)
     at, unit = _length_columns(names, Path(path), form)
     position = _numbers(rows, at) * unit
-    quaternion = _quaternions(rows, names)
-    axis = _axes(rows, names, quaternion)
     seen = flagged_seen(rows, names) & in_field(position, rows) & ~no_place(position)
+    quaternion = _quaternions(rows, names, seen)
+    axis = _axes(rows, names, seen, quaternion)
     _check_repeats(position, seen, rows)
     position[~seen] = axis[~seen] = np.nan
     if quaternion is not None:
@@ -116,13 +117,14 @@ def _numbers(rows: list[Row], columns: list[str]) -> Array:
     return np.where(np.abs(values) < NO_NUMBER, values, np.nan)
 
 
-def _quaternions(rows: list[Row], names: Mapping[str, str]) -> Array | None:
+def _quaternions(rows: list[Row], names: Mapping[str, str], seen: BoolArray) -> Array | None:
+    """(N, 4) of unit length; what rows that are not seen (N,) hold instead is not checked."""
     for order in (("qx", "qy", "qz", "qw"), ("qx", "qy", "qz", "q0")):
         if all(c in names for c in order):
             q = _numbers(rows, [names[c] for c in order])
             length = np.linalg.norm(q, axis=1, keepdims=True)
             there = length > 1e-9
-            if (off := there & (np.abs(length - 1) > _LONGER)).any():
+            if (off := seen[:, None] & there & (np.abs(length - 1) > _LONGER)).any():
                 row = rows[int(off.argmax())]
                 raise InputError(
                     f"{row.path}, line {row.line}: the quaternion has the length {length[off][0]:.4g}, expected 1: are "
@@ -132,11 +134,11 @@ def _quaternions(rows: list[Row], names: Mapping[str, str]) -> Array | None:
     return None
 
 
-def _axes(rows: list[Row], names: Mapping[str, str], quaternion: Array | None) -> Array:
+def _axes(rows: list[Row], names: Mapping[str, str], seen: BoolArray, quaternion: Array | None) -> Array:
     if all(c in names for c in EM_COLUMNS[3:]):
         axis = _numbers(rows, [names[c] for c in EM_COLUMNS[3:]])
         length = np.linalg.norm(axis, axis=1, keepdims=True)
-        _check_one_length(length[length > 1e-9], rows)
+        _check_one_length(length[seen[:, None] & (length > 1e-9)], rows)
         return np.asarray(axis / np.where(length > 1e-9, length, np.nan))
     if quaternion is None:
         if unread := [names[c] for c in _ANGLES if c in names]:
@@ -182,7 +184,7 @@ def _clock(rows: list[Row], column: str, seconds: float) -> Array:
     return t
 
 
-def _check_repeats(position: Array, seen: NDArray[np.bool_], rows: list[Row]) -> None:
+def _check_repeats(position: Array, seen: BoolArray, rows: list[Row]) -> None:
     """Say where a reading stays the same to the last digit, which no sensor does that is seen."""
     changes = np.flatnonzero(np.any(np.diff(position, axis=0) != 0, axis=1) | ~seen[1:]) + 1
     ends = np.concatenate([[0], changes, [len(position)]])
