@@ -10,6 +10,7 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.simulation import CALM, Scope, SimulatedTime, Tissue, TissueSettings, Twin, World, draw_tissue
+from ursnav_torch.simulation.stones import ObstructedLumen, distance_to_stone, lay_stones
 from ursnav_torch.simulation.world import operated_twin, swelling_renderer
 
 FLAGS = ("breathes", "swells", "bleeds", "buckles")
@@ -130,6 +131,21 @@ def test_a_twin_is_what_its_tissue_says(vid, renderer) -> None:
     wider, rest = drawn().render(start).depth_mm, renderer.render(start).depth_mm
     seen = np.isfinite(wider) & np.isfinite(rest)
     assert np.median(wider[seen] - rest[seen]) > 0.5
+
+
+def test_stones_do_not_give_way_to_irrigation(vid, renderer) -> None:
+    clock = SimulatedTime()
+    stone = lay_stones(vid.kidney, vid.lumen, 1, np.random.default_rng(3))[0]
+    world = World(vid.kidney, renderer, ObstructedLumen(vid.lumen, (stone,)), clock=clock)
+    start = transform_from(np.eye(3), vid.kidney.centerline.points_mm[0])
+    tissue = draw_tissue(replace(only("swells"), swelling_mm=(1.0, 1.0), swelling_s=(5.0, 5.0)), 2)
+    twin = operated_twin(world, start, Scope(), tissue)
+    clock.now_s = 60.0
+    points = np.stack([stone.center_mm, start[:3, 3]])
+    walls = vid.lumen.clearance_mm(points) + tissue.swollen_mm(60.0)
+    assert distance_to_stone(stone, points[:1])[0] == pytest.approx(-stone.radii_mm.min())
+    np.testing.assert_allclose(twin._clearance(points), np.minimum(walls, distance_to_stone(stone, points)))
+    np.testing.assert_allclose(twin._clearance(points), [-stone.radii_mm.min(), walls[1]])
 
 
 @pytest.mark.parametrize(

@@ -90,8 +90,12 @@ class ObstructedLumen:
 
     def clearance_mm(self, points_mm: ArrayLike) -> Array:
         """(N,) distance in mm from points (N, 3), kidney frame, to wall or stone, at most; negative inside them."""
+        return np.minimum(self.lumen.clearance_mm(points_mm), self.to_stones_mm(points_mm))
+
+    def to_stones_mm(self, points_mm: ArrayLike) -> Array:
+        """(N,) distance in mm from points (N, 3), kidney frame, to the nearest stone; inf where there is none."""
         points = np.asarray(points_mm, float).reshape(-1, 3)
-        free = self.lumen.clearance_mm(points)
+        free = np.full(len(points), np.inf)
         for stone in self.stones:
             free = np.minimum(free, distance_to_stone(stone, points))
         return free

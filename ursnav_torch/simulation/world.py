@@ -78,13 +78,23 @@ def operated_twin(
     lumen = world.lumen or LumenDistance.from_kidney(world.kidney)
     renderer = swelling_renderer(world, tissue, since)
     return Twin(
-        tissue.clearance(lumen.clearance_mm, since),
+        _room(lumen, tissue, since),
         lambda T: tissue.picture(draw(renderer(), T), since()),
         T_kidney_start,
         replace(scope, friction=tissue.friction) if tissue.settings.buckles else scope,
         em,
         breathing=(lambda: tissue.breath_mm(since())) if tissue.settings.breathes else None,
     )
+
+
+def _room(
+    lumen: "LumenDistance | ObstructedLumen", tissue: Tissue, since: Callable[[], float]
+) -> Callable[[Array], Array]:
+    """Distances (N,) mm of points (N, 3) to what stops the scope: the wall as it is now, and stones, which stay."""
+    if isinstance(lumen, LumenDistance):
+        return tissue.clearance(lumen.clearance_mm, since)
+    walls = tissue.clearance(lumen.lumen.clearance_mm, since)
+    return lambda points_mm: np.minimum(walls(points_mm), lumen.to_stones_mm(points_mm))
 
 
 def swelling_renderer(world: World, tissue: Tissue, since: Callable[[], float]) -> Callable[[], Renderer]:
