@@ -25,7 +25,8 @@ def main(config: Any) -> None:
             "calibrate_tip takes track=FILE.csv and em=FILE, or record=FOLDER of a session, and no others."
         )
     write_json(out, tip_report(found, form.offset_s), config.overwrite)
-    print(f"{tip_summary(found, form.offset_s)}\ntrack and navigate take it: tip={out}")
+    takes = f"tip={out}: track takes the place and the clocks' offset, navigate the place alone"
+    print(f"{tip_summary(found, form.offset_s)}\n{takes}")
 
 
 if __name__ == "__main__":

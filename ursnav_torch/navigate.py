@@ -12,7 +12,7 @@ def main(config: Any) -> None:
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
 
-    from ursnav_torch.runs.calibrate_tip import read_tip
+    from ursnav_torch.runs.calibrate_tip import live_place
     from ursnav_torch.runs.navigate import navigate_vid
     from ursnav_torch.stones import read_known_stones
     from ursnav_torch.tracking.tracker import Tracker
@@ -33,7 +33,7 @@ def main(config: Any) -> None:
         out=None if config.out is None else caller_path(config.out),
         duration_s=config.seconds,
         em_to_kidney=None if config.em_to_kidney is None else caller_path(config.em_to_kidney),
-        sensor_offset_mm=list(config.sensor_offset_mm) if config.tip is None else read_tip(caller_path(config.tip))[0],
+        sensor_offset_mm=list(config.sensor_offset_mm) if config.tip is None else live_place(caller_path(config.tip)),
         latency_s=config.latency_s,
         overwrite=config.overwrite,
         config=plain,

@@ -109,6 +109,7 @@ def test_the_runner_writes_what_track_takes(run: Callable[..., Any], tmp_path: P
     place, late = read_tip(tmp_path / "tip.json")
     np.testing.assert_allclose(place, offset, atol=0.5)
     assert abs(late - ahead) < 0.01
+    assert "track takes the place and the clocks' offset, navigate the place alone" in done.out
     assert run("calibrate_tip", *files).code == 1  # it is there already
 
 

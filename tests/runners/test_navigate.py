@@ -8,6 +8,7 @@ import pytest
 from ursnav_torch.columns import STONE_COLUMNS
 from ursnav_torch.devices import CommandSample, Frame, Stamp
 from ursnav_torch.kidney import LumenDistance
+from ursnav_torch.runs.calibrate_tip import live_place
 from ursnav_torch.session import Recorder, Replay
 from ursnav_torch.tables import read_csv
 
@@ -45,6 +46,17 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
         "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "viewer=none", f"out={out}"
     )
     assert again.code == 1 and "exists already" in again.err
+
+
+def test_a_clocks_offset_that_is_not_applied_live_is_said(run, vid, record, tmp_path):
+    tip = tmp_path / "tip.json"
+    tip.write_text(json.dumps({"sensor_offset_mm": [0.0, 1.0, -4.0], "em_offset_s": -0.06}), encoding="utf-8")
+    replayed = ("hardware=replay", f"hardware.path={record}", "viewer=none", "seconds=0.1")
+    with pytest.warns(UserWarning, match=r"EM clock -0\.060 s ahead .* does not apply the clocks' offset"):
+        done = run("navigate", f"vid={vid.folder}", *replayed, f"tip={tip}")
+    assert done.code == 0, done.err
+    tip.write_text(json.dumps({"sensor_offset_mm": [0.0, 1.0, -4.0], "em_offset_s": 0.004}), encoding="utf-8")
+    assert live_place(tip) == [0.0, 1.0, -4.0]  # of so little nothing is said
 
 
 def test_a_simulated_session_ends_after_its_time_and_finds_no_distances_again(run, vid, monkeypatch):

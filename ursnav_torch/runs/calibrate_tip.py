@@ -1,5 +1,6 @@
 """What the `calibrate_tip` runner does: a localized video and its EM log, or a session, in; the sensor's place out."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from ursnav_torch.records import read_json
 from ursnav_torch.runs.track_files import read_track
 from ursnav_torch.session import Replay
 from ursnav_torch.tracking.tracker import TRACKING
+
+#: In less than this a scope's tip moves by less than its sensor errs, s.
+_AT_ONCE_S = 0.01
 
 
 def tip_of_track(track: Path, em: Path, form: EmFormat | None = None) -> TipCalibration:
@@ -114,3 +118,19 @@ def read_tip(path: Path) -> tuple[list[float], float]:
     if len(place) != 3 or not np.isfinite([*place, offset]).all():
         raise InputError(f"{path} is no tip calibration: expected sensor_offset_mm and em_offset_s, see calibrate_tip.")
     return place, offset
+
+
+def live_place(path: Path) -> list[float]:
+    """Sensor's place (3,) mm in the camera frame, for a live session; warns where a clocks' offset is not applied.
+
+    Raises:
+        InputError: it is no file by `calibrate_tip`.
+    """
+    place, offset_s = read_tip(path)
+    if abs(offset_s) > _AT_ONCE_S:
+        warnings.warn(
+            f"{path} tells of an EM clock {offset_s:.3f} s ahead of the pictures'; navigate takes the sensor's place "
+            "from it, but pairs a picture with the newest reading before it and does not apply the clocks' offset.",
+            stacklevel=2,
+        )
+    return place
