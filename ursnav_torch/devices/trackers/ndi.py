@@ -22,8 +22,6 @@ from ursnav_torch.errors import DeviceError, DeviceProtocolError, DeviceTimeoutE
 BX_START = b"\xc4\xa5"
 VALID, MISSING, DISABLED = 1, 2, 4
 INIT_PAUSE_S, RESET_S, INIT_TRY_S = 0.1, 5.0, 0.5
-#: An answer has ended where no byte came for so long; USB adapters hold bytes back for up to 16 ms.
-QUIET_S = 0.05
 ERRORS = {
     "01": "invalid command",
     "04": "wrong CRC of the command",
@@ -114,6 +112,7 @@ class NdiTracker(EmTracker):
         self._link: SerialLink | None = None
         self._handle = 0
         self._frame, self._next_s = -1, 0.0
+        self._answer = b""  # what has come of it
         self._late_until_s = -math.inf  # an answer that nobody waited for may come until then
 
     def read(self, timeout_s: float = 1.0) -> TrackerSample:
@@ -139,7 +138,6 @@ class NdiTracker(EmTracker):
             body = self._read_bx(deadline)
         except DeviceTimeoutError:
             self._late_until_s = asked_s + self.deadline_s
-            self._port().discard_input()  # its beginning, if that came: its end is to be waited for
             raise
         for pose in unpack_bx_body(body):
             if pose.handle == self._handle:
@@ -152,29 +150,37 @@ class NdiTracker(EmTracker):
         Raises:
             DeviceTimeoutError: it may still come.
         """
-        while (now := time.monotonic()) < self._late_until_s:
-            if self._port().read_available():
-                self._late_until_s = now + QUIET_S
-            if now > deadline:
-                raise DeviceTimeoutError(f"{self.port}: the tracker still owes the answer to an earlier question.")
-            time.sleep(0.1 * QUIET_S)
+        late_until_s, self._late_until_s = self._late_until_s, -math.inf
+        try:
+            if time.monotonic() < late_until_s:
+                self._read_bx(min(deadline, late_until_s))
+        except DeviceTimeoutError:
+            if time.monotonic() < late_until_s:
+                self._late_until_s = late_until_s
+                raise
+        self._answer = b""
         self._port().discard_input()
 
     def _read_bx(self, deadline: float) -> bytes:
-        start = self._port().read_exactly(2, deadline - time.monotonic())
+        start = self._read_to(2, deadline)
         if start != BX_START:
             rest = self._port().read_until(b"\r", deadline - time.monotonic())
             raise DeviceProtocolError(f"{self.port}: {_explain(start + rest)}")
-        head = start + self._port().read_exactly(4, deadline - time.monotonic())
+        head = self._read_to(6, deadline)
         length, head_crc = struct.unpack("<HH", head[2:])
         if crc16.arc(head[:4]) != head_crc or length > 4096:
             self._port().discard_input()
             raise DeviceProtocolError(f"{self.port}: wrong CRC of a BX header; check cable and baud rate.")
-        body = self._port().read_exactly(length, deadline - time.monotonic())
-        (crc,) = struct.unpack("<H", self._port().read_exactly(2, deadline - time.monotonic()))
-        if crc16.arc(body) != crc:
+        body, crc = self._read_to(6 + length, deadline)[6:], self._read_to(8 + length, deadline)[-2:]
+        if crc16.arc(body) != int.from_bytes(crc, "little"):
             raise DeviceProtocolError(f"{self.port}: wrong CRC of a BX answer; check cable and baud rate.")
         return body
+
+    def _read_to(self, end: int, deadline: float) -> bytes:
+        """The answer's first ``end`` bytes; after a timeout the next call goes on where this one was."""
+        missing = max(0, end - len(self._answer))
+        self._answer += self._port().read_exactly(missing, deadline - time.monotonic())
+        return self._answer[:end]
 
     def _sample(self, tool: NdiTool) -> TrackerSample:
         pose = None
@@ -185,7 +191,7 @@ class NdiTracker(EmTracker):
 
     def _open(self) -> None:
         self._link = SerialLink(self.port, 9600)
-        self._late_until_s = -math.inf
+        self._answer, self._late_until_s = b"", -math.inf
         self._initialize()
         self._ask("COMM:50000")
         self._link.set_baud(115200)
