@@ -77,6 +77,8 @@ def test_a_lens_with_a_mask_or_a_circle_of_its_own_shows_less(scaled: bool) -> N
     taken = replace(LENS, mask=mask_text(mask))
     cut = cut_of(taken.resized(400, 320) if scaled else taken, LENS)
     assert cut is not None and cut.is_whole and cut.narrows
+    plain = cut_of(LENS.resized(400, 320) if scaled else LENS, LENS)
+    assert plain is not None and plain.numbers() != cut.numbers(), "what was located otherwise is not taken up"
     assert (cut.inside() != mask).sum() < 0.02 * mask.sum()
     ideal = equidistant_camera(160, 200, 160)
     narrow = cut_of(replace(ideal, fov_deg=100), ideal)

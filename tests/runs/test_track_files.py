@@ -53,7 +53,7 @@ def test_only_known_poses_are_exported_in_meters(track: Path, tmp_path: Path) ->
     besides, out = Besides(None, tum=True), tmp_path / "again.csv"
     with whole_set((out, *besides.paths(out)), False, {}) as whole:
         whole.staged(out).write_bytes(track.read_bytes())
-        assert besides.write(whole) == ""
+        assert besides.write(whole) == ("", True)
         whole.outcome = True
     assert not list(tmp_path.glob("*.score.json"))
     lines = [
@@ -76,7 +76,8 @@ def test_a_truth_that_is_too_short_costs_the_score_and_not_the_track(track: Path
     besides, out = Besides(Truth(at(0.0, 1.0), None), tum=True), tmp_path / "again.csv"
     with whole_set((out, *besides.paths(out)), False, {}) as whole:
         whole.staged(out).write_bytes(track.read_bytes())
-        assert "not scored: The track goes to picture 3, but the truth has 2 rows" in besides.write(whole)
+        told, is_all = besides.write(whole)
+        assert "not scored: The track goes to picture 3, but the truth has 2 rows" in told and not is_all
         whole.outcome = True
     assert out.read_bytes() == track.read_bytes() and (tmp_path / "again.tum").is_file()
     assert "2 rows" in (tmp_path / "again.score.json").read_text(encoding="utf-8")

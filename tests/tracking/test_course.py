@@ -62,12 +62,20 @@ def test_alignments_that_follow_each_other_are_believed_sooner_and_are_no_leap(s
     assert follow(course, 1.4, score) == (believed, False) and course.coasts is not believed
 
 
-def test_alignments_that_stand_while_the_robot_moves_do_not_follow_each_other() -> None:
-    course, ahead = settled(), transform_from(np.eye(3), np.array([0.0, 0.0, 5.0]))
-    for n in range(5):
+@pytest.mark.parametrize("shown", [(True, True, True, True, True), (True, False, True, False, True)])
+def test_alignments_that_stand_while_the_robot_moves_do_not_follow_each_other(shown) -> None:
+    """Nor where a picture between two of them shows nothing."""
+    course, ahead = settled(), transform_from(np.eye(3), np.array([0.0, 0.0, 2.0 if False in shown else 5.0]))
+    for n, is_shown in enumerate(shown):
         here = course.predict(1.1 + n / 10, Carried(ahead, 0.1, 0.01, 0.1))
-        assert here is not None and follow(course, 1.1 + n / 10, 0.6, (here,)) == (False, False)
+        assert here is not None
+        assert not is_shown or follow(course, 1.1 + n / 10, 0.6, (here,)) == (False, False)
     assert course.coasts
+
+
+def test_what_was_not_seen_for_long_does_not_persist() -> None:
+    course = settled()
+    assert follow(course, 1.1) == (False, False) and follow(course, 1.5) == (False, False) and course.coasts
 
 
 def test_a_sensor_is_heard_while_it_coasts() -> None:

@@ -1,6 +1,7 @@
 """Pictures of the calibrated camera that were cropped or scaled, put back to where they lie in the calibrated one."""
 
 import warnings
+import zlib
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -48,8 +49,9 @@ class PictureCut:
         return (self.x, self.y, self.w, self.h) == (0, 0, self.lens.width, self.lens.height)
 
     def numbers(self) -> list[int]:
-        """Width, height, x, y, w, h."""
-        return [self.width, self.height, self.x, self.y, self.w, self.h]
+        """Width, height, x, y, w, h, and a checksum of the scene, 0 without one: what tells it from another."""
+        scene = 0 if self.scene is None else zlib.crc32(np.packbits(self.scene).tobytes())
+        return [self.width, self.height, self.x, self.y, self.w, self.h, scene]
 
     def inside(self) -> NDArray[np.bool_]:
         """(H, W) where the lens's picture is known."""

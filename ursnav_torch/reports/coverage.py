@@ -1,10 +1,12 @@
 """The painted wall: what of a kidney was seen, drawn from both sides, with the verdict on every calyx."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ursnav_torch.exploration.coverage import GLIMPSED, INSPECTED, OUT_OF_REACH, UNSEEN, Coverage
+from ursnav_torch.exploration.coverage import GLIMPSED, INSPECTED, OUT_OF_REACH, UNSEEN, CalyxCoverage, Coverage
 from ursnav_torch.geometry import apply
 from ursnav_torch.reports.overview import Overview, draw_overview
 
@@ -16,14 +18,21 @@ _INK = {INSPECTED: (50, 110, 30), GLIMPSED: (0, 130, 220), UNSEEN: (40, 40, 200)
 _TEXT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def draw_coverage(coverage: Coverage, side_px: int = 480) -> Picture:
-    """Front and side of the kidney (S + legend, 2 S, 3): seen wall green, wall to be seen red, out of reach gray."""
+def draw_coverage(coverage: Coverage, side_px: int = 480, calyces: Sequence[CalyxCoverage] | None = None) -> Picture:
+    """Front and side of the kidney (S + legend, 2 S, 3): seen wall green, wall to be seen red, out of reach gray.
+
+    Args:
+        coverage: what was seen.
+        side_px: S.
+        calyces: the verdict on each, where another than the coverage's own was told.
+    """
+    verdicts = coverage.calyces() if calyces is None else calyces
     bare = [draw_overview(coverage.kidney, side_px, from_side, names=False) for from_side in (False, True)]
-    views = [_painted(coverage, overview) for overview in bare]
-    return np.asarray(np.concatenate([np.concatenate(views, axis=1), _legend(coverage, 2 * side_px)]), np.uint8)
+    views = [_painted(coverage, overview, verdicts) for overview in bare]
+    return np.asarray(np.concatenate([np.concatenate(views, axis=1), _legend(verdicts, 2 * side_px)]), np.uint8)
 
 
-def _painted(coverage: Coverage, overview: Overview) -> Picture:
+def _painted(coverage: Coverage, overview: Overview, verdicts: Sequence[CalyxCoverage]) -> Picture:
     """The overview with every patch in its color: the nearest wall over the one behind it."""
     picture, R = overview.picture.copy(), overview.T_view_kidney[:3, :3]
     patches, seen = coverage.patches, coverage.seen()
@@ -37,7 +46,7 @@ def _painted(coverage: Coverage, overview: Overview) -> Picture:
         x, y = np.rint(overview.project(patches.center_mm[i])).astype(int).tolist()
         cv2.circle(veil, (x, y), radius, color[i].tolist(), -1, cv2.LINE_AA)
     picture = cv2.addWeighted(veil, 0.8, picture, 0.2, 0)
-    for verdict, at in zip(coverage.calyces(), overview.project(coverage.kidney.tips_mm), strict=True):
+    for verdict, at in zip(verdicts, overview.project(coverage.kidney.tips_mm), strict=True):
         x, y = np.rint(at).astype(int).tolist()
         cv2.circle(picture, (x, y), 4, _INK[verdict.verdict], -1, cv2.LINE_AA)
         for ink, thick in (((255, 255, 255), 3), (_INK[verdict.verdict], 1)):
@@ -45,9 +54,8 @@ def _painted(coverage: Coverage, overview: Overview) -> Picture:
     return np.asarray(picture, np.uint8)
 
 
-def _legend(coverage: Coverage, width: int, line: int = 20, columns: int = 3) -> Picture:
+def _legend(verdicts: Sequence[CalyxCoverage], width: int, line: int = 20, columns: int = 3) -> Picture:
     """One entry a calyx: its verdict, and how much of it was seen."""
-    verdicts = coverage.calyces()
     legend = np.full((line * (-(-len(verdicts) // columns)) + 8, width, 3), 255, np.uint8)
     for i, c in enumerate(verdicts):
         at = (8 + (i % columns) * width // columns, line * (i // columns) + 17)

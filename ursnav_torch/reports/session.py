@@ -159,7 +159,7 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
         "summary": _summary(figures, len(vid.kidney.calyces)),
         "training": training_rows(training, figures.path_mm, figures.speed_mm_s, vid.kidney.scale),
         "path": [inline_picture(_path_picture(vid, figures, side)) for side in (False, True)],
-        "coverage": inline_picture(draw_coverage(coverage)),
+        "coverage": inline_picture(draw_coverage(coverage, calyces=training.calyces)),
         "pictures": pictures,
         "boxes": time_line(stretches, pictures, replay.duration_s()),
         "files": files_to_keep(stretches, details["calyces"], replay),

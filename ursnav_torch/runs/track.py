@@ -57,7 +57,8 @@ def track_source(
         besides: what else is made of the rows.
 
     Returns:
-        The summary, for people to read, and whether the source was tracked to its end; Ctrl-C is a camera's end.
+        The summary, for people to read, and whether the source was tracked to its end, and scored where that was asked
+        for; Ctrl-C is a camera's end.
 
     Raises:
         InputError: a result stands there already, the source gives no picture, offline is asked of a camera, another
@@ -75,7 +76,8 @@ def track_source(
     with whole_set(paths, overwrite, work) as whole:
         if whole.outcome is None:
             summary, ended = _tracked(tracker, source, whole, instruments, progress, offline, besides)
-            whole.outcome = [summary + besides.write(whole), ended]
+            more, is_all = besides.write(whole)
+            whole.outcome = [summary + more, ended and is_all]
     told, ended = whole.outcome
     return str(told), bool(ended)
 

@@ -140,8 +140,8 @@ class Besides:
         files = [f for path in self.inputs for f in (sorted(path.rglob("*")) if path.is_dir() else [path])]
         return [[str(file), *fingerprint(file)] for file in files if not file.is_dir()]
 
-    def write(self, whole: WholeSet) -> str:
-        """Write what is asked for into the set; the score for people to read, blank without one.
+    def write(self, whole: WholeSet) -> tuple[str, bool]:
+        """Write what is asked for into the set; the score for people to read, and whether all of that could be done.
 
         A truth that does not reach to the track's end costs the score, not the track.
         """
@@ -150,17 +150,16 @@ class Besides:
         if self.tum and track is not None:
             write_tum(whole.staged(out.with_suffix(".tum")), track.t_s, track.T_kidney_camera)
         if self.truth is None or track is None:
-            return ""
+            return "", True
         path = whole.staged(out.with_suffix(".score.json"))
         try:
             found = score_track(track, self.truth)
         except InputError as error:
             write_json(path, {"error": str(error)})
-            return f"\nnot scored: {error}"
+            return f"\nnot scored: {error}", False
         write_json(path, found)
-        return "\nagainst the truth: " + ", ".join(
-            f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items()
-        )
+        told = (f"{name} {'-' if value is None else f'{value:g}'}" for name, value in found.items())
+        return f"\nagainst the truth: {', '.join(told)}", True
 
 
 NOTHING_BESIDES = Besides()

@@ -31,9 +31,9 @@ class Course:
         """Forget it."""
         self._smooth.reset()
         self._coasts_s: float | None = None  # since when alignments are not believed
-        self._carried = np.eye(4)  # the robot's last word
         self._elsewhere: Array | None = None  # the last alignment that was not believed,
-        self._persists_s = 0.0  # and since when they have followed each other
+        self._elsewhere_s, self._carried = 0.0, np.eye(4)  # when that was, the robot's word on the motion since,
+        self._persists_s = 0.0  # and since when such alignments have followed each other
 
     @property
     def coasts(self) -> bool:
@@ -46,7 +46,8 @@ class Course:
 
     def predict(self, t_s: float, carried: Carried | None = None) -> Array | None:
         """See `PoseFilter.predict`."""
-        self._carried = np.eye(4) if carried is None else carried.T_before_now
+        if carried is not None:
+            self._carried = self._carried @ carried.T_before_now
         return self._smooth.predict(t_s, carried)
 
     def follow(
@@ -92,10 +93,17 @@ class Course:
         if score >= (s.coast_below if away else s.challenge_below):
             return False
         self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
-        before, self._elsewhere = self._elsewhere, T
-        if before is None or score < s.leap_above or not self._near((before @ self._carried)[None], T)[0]:
+        if score < s.leap_above or not self._follows(T, t_s):
             self._persists_s = t_s
+        self._elsewhere, self._elsewhere_s, self._carried = T, t_s, np.eye(4)
         return t_s - self._coasts_s < s.coast_s and not self._persists(t_s)
+
+    def _follows(self, T: Array, t_s: float) -> bool:
+        """Whether an alignment (4, 4) is where the robot moved on from the last that was not believed, not long ago."""
+        is_new = t_s - self._elsewhere_s <= self._settings.challenger.persist_s
+        return (
+            self._elsewhere is not None and is_new and bool(self._near((self._elsewhere @ self._carried)[None], T)[0])
+        )
 
     def _persists(self, t_s: float) -> bool:
         """Whether alignments that were not believed have followed each other for long enough to be."""
