@@ -260,12 +260,13 @@ class Shown(Output):
 
     def __init__(self):
         super().__init__()
-        self.poses, self.images, self.joints, self.coverage = [], [], [], []
+        self.poses, self.images, self.joints, self.coverage, self.moments = [], [], [], [], []
 
     def _open(self): ...
     def _close(self): ...
     def publish_pose(self, T_kidney_camera, t_wall_s):
         self.poses.append(T_kidney_camera)
+        self.moments.append(t_wall_s)
 
     def publish_image(self, frame):
         self.images.append(frame)
@@ -293,6 +294,8 @@ def test_other_programs_are_shown_pictures_joints_coverage_and_accepted_poses():
     assert len(shown.images) == summary.counts["Frame"] and len(shown.joints) == summary.counts["RobotSample"]
     assert len(shown.poses) == (summary.counts["Result"] + 1) // 2
     np.testing.assert_allclose(shown.poses[0][:3, 3], [1, 2, 3])
+    taken = {frame.stamp.sequence: frame.stamp.t_wall_s for frame in shown.images}
+    assert shown.moments == [t for n, t in taken.items() if n % 2 == 0][: len(shown.moments)], "the picture's own"
     assert shown.coverage == [{"A": ["glimpsed", 0.2]}]
     assert not shown.is_connected
 

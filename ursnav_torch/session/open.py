@@ -5,9 +5,9 @@ import json
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from types import FrameType
 
 from ursnav_torch.columns import POSE_COLUMNS
@@ -29,6 +29,8 @@ from ursnav_torch.session.stepped import Stepped
 #: watches.
 Between = Callable[[Console, Rig, bool], Gamepad]
 
+#: Pictures whose moments are remembered for the poses that are told of them later.
+_REMEMBERED = 256
 #: What ends a session in good order: Ctrl-C, `kill`, a terminal that closes.
 SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
 
@@ -115,7 +117,7 @@ def _open_rig(
         hands = between(console, rig, watched)
     rig = stack.enter_context(replace(rig, gamepad=hands))
     live: EventSource = Live(rig, duration_s) if rig.clock is None else Stepped(rig, duration_s)
-    keepers = (partial(publish, rig.output),) if rig.output else ()
+    keepers = (Publisher(rig.output),) if rig.output else ()
     return Session(live, SessionControls(live.stop, console, by_itself=between is not None), keepers)
 
 
@@ -146,14 +148,30 @@ def ended_by_signals(stop: Callable[[], None]) -> Iterator[None]:
         restore()
 
 
-def publish(output: Output, event: Event) -> None:
-    """Show an event to another program: pictures, joints, the pose of a row that was accepted, coverage."""
-    if isinstance(event, Frame):
-        output.publish_image(event)
-    elif isinstance(event, RobotSample):
-        output.publish_joints(event.joints, event.stamp.t_wall_s)
-    elif isinstance(event, Result) and event.row.get("accepted") and event.row.get("x_mm") is not None:
-        values = [float(event.row[name]) for name in POSE_COLUMNS]
-        output.publish_pose(transform_from_quaternion(values[:3], values[3:]), event.stamp.t_wall_s)
-    if isinstance(event, Result) and "coverage" in event.row:
-        output.publish_coverage(json.loads(event.row["coverage"]), event.stamp.t_wall_s)
+class Publisher:
+    """Shows events to another program: pictures, joints, the pose of a row that was accepted, coverage.
+
+    A pose has the time of its picture, from which it was told later.
+    """
+
+    def __init__(self, output: Output) -> None:
+        self._output = output
+        self._taken: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)
+
+    def __call__(self, event: Event) -> None:
+        """Show one."""
+        if isinstance(event, Frame):
+            self._taken.append((event.stamp.sequence, event.stamp.t_wall_s))
+            self._output.publish_image(event)
+        elif isinstance(event, RobotSample):
+            self._output.publish_joints(event.joints, event.stamp.t_wall_s)
+        elif isinstance(event, Result):
+            self._tell(event, dict(self._taken).get(event.frame, event.stamp.t_wall_s))
+
+    def _tell(self, result: Result, taken_s: float) -> None:
+        """What was computed from a picture, of the time that it was taken at."""
+        if result.row.get("accepted") and result.row.get("x_mm") is not None:
+            values = [float(result.row[name]) for name in POSE_COLUMNS]
+            self._output.publish_pose(transform_from_quaternion(values[:3], values[3:]), taken_s)
+        if "coverage" in result.row:
+            self._output.publish_coverage(json.loads(result.row["coverage"]), taken_s)
