@@ -110,7 +110,8 @@ def test_a_recording_is_tracked_with_hindsight_scored_and_exported(
     assert len((tmp_path / "a.tum").read_text(encoding="utf-8").splitlines()) == 8
     truth.write_text("".join(truth.read_text(encoding="utf-8").splitlines(keepends=True)[:5]))
     short = run("track", *arguments, f"out={tmp_path / 'b.csv'}", f"truth={truth}")
-    assert short.code == 1 and "the truth has 4 rows" in short.err
+    assert short.code == 1 and "not scored: " in short.out and "the truth has 4 rows" in short.out
+    assert len(read(tmp_path / "b.csv")) == 8, "a score costs no track"
     missing = run("track", *arguments, f"out={tmp_path / 'c.csv'}", "truth=nowhere.csv")
     assert missing.code == 1 and "no truth file" in missing.err and not (tmp_path / "c.csv").exists()
 
