@@ -13,6 +13,7 @@ def main(config: Any) -> None:
     from omegaconf import OmegaConf
 
     from ursnav_torch.runs.calibrate_tip import live_place
+    from ursnav_torch.runs.lenses import lens_of
     from ursnav_torch.runs.navigate import navigate_vid
     from ursnav_torch.stones import read_known_stones
     from ursnav_torch.tracking.tracker import Tracker
@@ -20,6 +21,7 @@ def main(config: Any) -> None:
 
     choices = (config.tracking, config.search, config.matching, config.alignment)
     vid = load_vid(caller_path(config.vid))
+    cut = vid.cut_of(*lens_of(config.camera, config.hardware, instantiate))
     known: Any = ()
     if config.known_stones is not None:
         bounds_mm = vid.kidney.mesh.bounds
@@ -40,6 +42,7 @@ def main(config: Any) -> None:
         exploration=instantiate(config.exploration),
         autonomy=instantiate(config.autonomy) if config.autonomy else None,
         known_stones=known,
+        cut=cut,
     )
     print(summary)
 

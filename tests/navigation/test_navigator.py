@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from flights import hover
 
+from ursnav_torch.camera import mask_text
 from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp, TrackerSample
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
@@ -34,6 +35,16 @@ def navigator(tracker):
 def frames(vid, renderer, calyx=0, pictures=24, first=0):
     for i, T in enumerate(hover(vid, calyx, pictures)):
         yield Frame(Stamp(first + i, time.monotonic(), time.time()), renderer.render(T).image), T
+
+
+def test_what_the_cameras_mask_hides_is_left_out_of_the_track(vid, renderer):
+    scene = np.zeros((vid.camera.height, vid.camera.width), bool)
+    scene[:, : vid.camera.width // 2] = True
+    tracker = Tracker(vid)
+    with Navigator(tracker, cut=vid.cut_of(replace(vid.camera, mask=mask_text(scene)))) as navigator:
+        navigator.take(next(frames(vid, renderer))[0])
+        assert navigator.wait()
+    assert tracker.shown is not None and tracker.shown.any() and not (tracker.shown & ~scene).any()
 
 
 def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from ursnav_torch.camera import equidistant_camera
 from ursnav_torch.columns import STONE_COLUMNS
 from ursnav_torch.devices import CommandSample, Frame, Stamp
 from ursnav_torch.kidney import LumenDistance
@@ -46,6 +47,19 @@ def test_a_record_is_navigated_recorded_and_reported(run, vid, record, tmp_path)
         "navigate", f"vid={vid.folder}", "hardware=replay", f"hardware.path={record}", "viewer=none", f"out={out}"
     )
     assert again.code == 1 and "exists already" in again.err
+
+
+@pytest.mark.parametrize("stated", ["camera", "calibration"])
+def test_pictures_of_another_lens_than_the_vids_are_refused(run, vid, record, tmp_path, stated):
+    other = equidistant_camera(120, 96, 96).to_dict()
+    (tmp_path / "camera.json").write_text(json.dumps(other), encoding="utf-8")
+    lens, rig = ["camera=file", f"camera.path={tmp_path / 'camera.json'}"], [f"hardware.path={record}"]
+    if stated == "calibration":
+        lens, rig = [f"hardware.camera.calibration={tmp_path / 'camera.json'}"], ["hardware/camera=folder"]
+        rig += [f"hardware.camera.folder={vid.folder / 'images'}", "hardware/gamepad=none"]
+    hardware = "replay" if stated == "camera" else "simulated"
+    done = run("navigate", f"vid={vid.folder}", f"hardware={hardware}", "viewer=none", "seconds=0.1", *rig, *lens)
+    assert done.code == 1 and "is not the one that the VID" in done.err
 
 
 def test_a_clocks_offset_that_is_not_applied_live_is_said(run, vid, record, tmp_path):

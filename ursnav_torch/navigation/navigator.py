@@ -13,6 +13,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ursnav_torch.camera import PictureCut
 from ursnav_torch.devices import Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
@@ -90,6 +91,8 @@ class Navigator:
         sensor: where an EM sample has the sensor in the kidney frame; None to do without.
         governor: when to spend less on a picture.
         known_stones: those of a scan.
+        cut: where pictures lie in those of the VID's lens; what was cut away or masked there is left out. None: they
+            are as the lens gives them.
 
     Attributes:
         shows_edges: whether `NavigationState.edges` are wanted: whoever draws them says so.
@@ -102,9 +105,12 @@ class Navigator:
         sensor: Sensor | None = None,
         governor: Governor | None = None,
         known_stones: tuple[KnownStone, ...] = (),
+        cut: PictureCut | None = None,
     ) -> None:
         self.tracker, self.vid, self.bus = tracker, tracker.vid, StateBus()
-        self._whole = tracker.vid.cut_of(None)
+        self._cut = cut or tracker.vid.cut_of(None)
+        if self._cut.narrows:
+            tracker.narrow(self._cut.inside())
         settings = exploration or ExplorationSettings()
         stones = watch_stones(tracker, settings.stones, known_stones)
         self.guide = Guide(tracker.vid, tracker.lumen, stones, settings)
@@ -147,7 +153,7 @@ class Navigator:
         if isinstance(event, Frame):
             captured = event.stamp.t_mono_s if self._pace.stamped_now else time.monotonic()
             self._given += 1
-            image = self._whole.put_back(event.image)
+            image = self._cut.put_back(event.image)
             frame = event if image is event.image else replace(event, image=image)
             t_s = event.stamp.t_mono_s
             told, joints = self._reading.at(t_s), self._joints.at(t_s)

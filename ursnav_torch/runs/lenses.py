@@ -1,9 +1,9 @@
-"""The pictures' lens as a runner's ``camera=`` states it."""
+"""The pictures' lens as a runner's ``camera=`` states it, or the calibration of the camera that takes them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from ursnav_torch.camera import Camera
+from ursnav_torch.camera import Camera, load_camera
 
 
 def stated_lens(choice: Any, make: Callable[[Any], Camera]) -> tuple[Camera | None, bool]:
@@ -11,3 +11,17 @@ def stated_lens(choice: Any, make: Callable[[Any], Camera]) -> tuple[Camera | No
     if not choice:
         return None, False
     return make(choice), choice.get("crop") is not None or choice.get("resize") is not None
+
+
+def lens_of(choice: Any, hardware: Mapping[str, Any], make: Callable[[Any], Camera]) -> tuple[Camera | None, bool]:
+    """`stated_lens`; where nothing is stated, the lens of the calibration that a rig's camera is given.
+
+    Args:
+        choice: ``camera=``.
+        hardware: ``hardware=``, a rig's or a record's.
+        make: makes a lens of a choice.
+    """
+    calibration = (hardware.get("camera") or {}).get("calibration")
+    if choice or not calibration:
+        return stated_lens(choice, make)
+    return load_camera(calibration), False

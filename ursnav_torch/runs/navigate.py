@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ursnav_torch.autonomy import AutonomySettings
+from ursnav_torch.camera import PictureCut
 from ursnav_torch.exploration import ExplorationSettings
 from ursnav_torch.files import write_json
 from ursnav_torch.navigation import Governor, Navigator, Page, run_navigation, sensor_in_kidney
@@ -35,6 +36,7 @@ def navigate_vid(
     exploration: ExplorationSettings | None = None,
     autonomy: AutonomySettings | None = None,
     known_stones: tuple[KnownStone, ...] = (),
+    cut: PictureCut | None = None,
 ) -> str:
     """Navigate in a VID's kidney until the session ends; record it and report on it where ``out`` says.
 
@@ -52,6 +54,7 @@ def navigate_vid(
         exploration: when wall counts as seen, what the scope can do, and how stones are told.
         autonomy: how the scope moves by itself while the dead-man button is held; None does without.
         known_stones: those of a scan: which of them were found, which were not, which are new.
+        cut: where the camera's pictures lie in those of the VID's lens; None: they are as it gives them.
 
     Returns:
         The summary, for people to read.
@@ -63,7 +66,7 @@ def navigate_vid(
     recorder = None if out is None else Recorder(out, config, overwrite)
     sensor = None if em_to_kidney is None else sensor_in_kidney(em_to_kidney, sensor_offset_mm or [0.0, 0.0, 0.0])
     vid = tracker.vid
-    navigator = Navigator(tracker, exploration, sensor=sensor, governor=Governor(latency_s), known_stones=known_stones)
+    navigator = Navigator(tracker, exploration, sensor, Governor(latency_s), known_stones, cut)
 
     def world() -> World:
         return World(
