@@ -4,18 +4,20 @@ import itertools
 import json
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from flights import hover
 
 from ursnav_torch.camera import mask_text
-from ursnav_torch.devices import Frame, Joints, RobotSample, Stamp, TrackerSample
+from ursnav_torch.devices import Drive, Frame, Joints, RobotSample, Segment, Stamp, TrackerSample
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.search import VIDEO_SEARCH, default_matching
-from ursnav_torch.session import Player, Recorder, Replay, Result
+from ursnav_torch.session import Player, Recorder, Replay, Result, rehearse
+from ursnav_torch.simulation import Scope, World, make_twin
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.tracker import Tracker
 
@@ -345,3 +347,15 @@ def test_after_a_seek_pictures_and_words_from_before_it_are_gone(heard, vid, ren
         live.take(Frame(Stamp(1, 10.0, 10.0), image))
         assert live.wait()
     assert heard.asked == ["reset", (10.0, None, None)]
+
+
+def test_a_robot_that_bends_over_another_length_than_tracking_takes_is_told(navigator, vid, renderer):
+    def world():
+        return World(vid.kidney, renderer, vid.lumen)
+
+    def hardware(world):
+        twin = partial(make_twin, scope=Scope(drive=Drive(Segment(length_mm=30.0))))
+        return rehearse(twin, rate_hz=6.0, world=world)
+
+    with pytest.warns(UserWarning, match=r"segment is 30 mm long .* by one of 20 mm; say tracking\.odometry\.length"):
+        run_navigation(navigator, hardware, world, duration_s=0.3)

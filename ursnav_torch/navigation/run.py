@@ -1,8 +1,10 @@
 """Navigating from end to end: a session's events in, states out to a page, rows to the record."""
 
 import contextlib
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,8 @@ from ursnav_torch.tracking.tracker import TRACKING
 
 #: Shows navigation from beginning to end and steers its session; a web page, for example.
 Page = Callable[[Navigator, SessionControls], contextlib.AbstractContextManager[Any]]
+#: Bending segments whose lengths differ by less are one.
+_SAME_MM = 0.1
 
 
 @dataclass(slots=True)
@@ -87,7 +91,8 @@ def run_navigation(
         return pilot
 
     steers = None if autonomy is None or isinstance(hardware, Replay) else between
-    opened = open_session(hardware, world, recorder, duration_s, page is not None, navigator.forget_place, steers)
+    devices = hardware if isinstance(hardware, Replay) else partial(_built, hardware, navigator)
+    opened = open_session(devices, world, recorder, duration_s, page is not None, navigator.forget_place, steers)
     with contextlib.ExitStack() as stack:
         session = stack.enter_context(opened)
         navigator.expect(session.source.pace)
@@ -103,3 +108,17 @@ def run_navigation(
     if pilots:
         summary.explored = pilots[0].explorer.account()
     return summary
+
+
+def _built(hardware: Callable[..., Rig], navigator: Navigator, **parts: Any) -> Rig:
+    """The rig; it is said where its tip bends over another length than tracking takes for the robot's word."""
+    rig = hardware(**parts)
+    taken_mm = navigator.tracker.settings.odometry.length_mm
+    length_mm = taken_mm if rig.robot is None else rig.robot.drive.segment.length_mm
+    if abs(length_mm - taken_mm) > _SAME_MM:
+        warnings.warn(
+            f"The robot's bending segment is {length_mm:g} mm long (hardware.robot.drive.segment.length_mm), but "
+            f"tracking moves the tip by one of {taken_mm:g} mm; say tracking.odometry.length_mm={length_mm:g}.",
+            stacklevel=2,
+        )
+    return rig
