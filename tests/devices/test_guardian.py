@@ -16,7 +16,7 @@ from benchmarks.safety import SEEN_S
 from benchmarks.safety.bench import KINDS
 from benchmarks.safety.frozen import SPEED_MM_S, WAYS, freeze
 from ursnav_torch.devices import GrblRobot, JointRates, RosserialRobot
-from ursnav_torch.devices.robots.guardian import Guardian
+from ursnav_torch.devices.robots.guardian import UNREAD, Guardian
 from ursnav_torch.devices.robots.robot import BLIND_S
 from ursnav_torch.errors import DeviceError
 from ursnav_torch.simulation.grbl_board import GrblBoard
@@ -97,6 +97,20 @@ def scene(request):
 def killed(guardian):
     os.kill(guardian._process.pid, signal.SIGKILL)
     assert wait_until(lambda: not guardian.is_alive)
+
+
+def test_a_guardian_that_hangs_is_none_until_it_reads_again(stop):
+    guardian = Guardian({stop[1]: b"STOP"}, silence_s=60.0)
+    try:
+        os.kill(guardian._process.pid, signal.SIGSTOP)
+        for _ in range(UNREAD):
+            assert guardian.is_alive
+            guardian.feed(True)
+        assert not guardian.is_alive
+        os.kill(guardian._process.pid, signal.SIGCONT)
+        assert wait_until(lambda: guardian.is_alive)
+    finally:
+        guardian.close()
 
 
 def test_an_armed_robot_whose_guardian_dies_is_stopped_and_arming_starts_another(scene):

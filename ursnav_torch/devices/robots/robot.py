@@ -293,7 +293,7 @@ class Robot(Device):
             return
         guardian.feed(self.gate.state == ARMED)
         if not guardian.is_alive and self.gate.state == ARMED:  # asked last: who dismisses it has disarmed before
-            reason = "the second watchdog's process has ended; acknowledge, and arming starts another"
+            reason = "the second watchdog's process has ended or hangs; acknowledge, and arming starts another"
             self.emergency_stop(reason)
             raise DeviceError(f"The robot was stopped: {reason}.")
 
