@@ -1,6 +1,7 @@
 """The devices: camera, EM tracker, robot, light and gamepad, each with one contract and several drivers."""
 
 from ursnav_torch.devices.base import (
+    SILENT_S,
     CameraDevice,
     CommandSample,
     Device,
@@ -37,6 +38,7 @@ from ursnav_torch.devices.trackers.openigtlink import OpenIgtlTracker
 from ursnav_torch.devices.trackers.surgery_ndi import SurgeryNdiTracker
 
 __all__ = [
+    "SILENT_S",
     "CameraDevice",
     "CommandSample",
     "CsvTracker",

@@ -15,6 +15,10 @@ from ursnav_torch.errors import DeviceNotConnectedError
 
 Vector3 = tuple[float, float, float]
 
+#: A device that has told nothing for longer than this, s, is silent: what it told before says nothing of now, live and
+#: in a recording.
+SILENT_S = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class Stamp:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.camera import PictureCut
-from ursnav_torch.devices import Frame, Note, RobotSample, Stamper, TrackerSample
+from ursnav_torch.devices import SILENT_S, Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
 from ursnav_torch.exploration import ExplorationSettings
@@ -44,8 +44,6 @@ REMEMBERED, LOG_S = 20_000, 10.0
 GUIDE_S = 0.1
 #: A pose older than this is said to be old.
 STALE_S = 2.0
-#: What devices told longer than this before a picture says nothing of it, as of a recording (`runs.sources`).
-DEVICE_GAP_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +77,7 @@ class _Told(Generic[Telling]):
 
     def at(self, t_s: float) -> Telling | None:
         """What it says of a picture taken at a time; nothing when it has been silent for long."""
-        return self.what if t_s - self.at_s <= DEVICE_GAP_S else None
+        return self.what if t_s - self.at_s <= SILENT_S else None
 
 
 class Navigator:

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.columns import ODOMETRY_COLUMNS
+from ursnav_torch.devices import SILENT_S
 from ursnav_torch.errors import InputError
 from ursnav_torch.features import IMAGE_SUFFIXES, read_image
 from ursnav_torch.files import natural_key
 from ursnav_torch.tables import numbers, read_csv
 from ursnav_torch.tracking.follow import Moment, Source
 from ursnav_torch.tracking.robot.odometry import OdometryReading
-
-#: Between two reports of a robot farther apart than this it said nothing.
-LONGEST_GAP_S = 0.5
 
 
 def open_source(path: Path, fps: float = 10.0) -> Source:
@@ -138,7 +136,7 @@ def _names(folder: Path) -> list[str]:
 def recorded_odometry(path: Path) -> Callable[[Moment], OdometryReading | None]:
     """The joints at a picture's time, from a CSV file ``t_s,insertion_mm,bend_x_deg,bend_y_deg``.
 
-    Between two reports the joints are interpolated; where the robot said nothing for half a second there is none. A row
+    Between two reports the joints are interpolated; where the robot was silent, see `SILENT_S`, there is none. A row
     without all of its joints is no report.
 
     Raises:
@@ -165,7 +163,7 @@ def recorded_odometry(path: Path) -> Callable[[Moment], OdometryReading | None]:
     def reading(moment: Moment) -> OdometryReading | None:
         after = int(np.searchsorted(t_s, moment.t_s))
         around = t_s[max(after - 1, 0) : after + 1]
-        if np.abs(around - moment.t_s).min() > LONGEST_GAP_S or np.ptp(around) > LONGEST_GAP_S:
+        if np.abs(around - moment.t_s).min() > SILENT_S or np.ptp(around) > SILENT_S:
             return None
         return OdometryReading(*(float(np.interp(moment.t_s, t_s, column)) for column in joints.T))
 

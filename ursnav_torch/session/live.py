@@ -7,7 +7,17 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from ursnav_torch.devices import Device, Frame, Note, OperatorInput, RobotSample, Stamp, Stamper, TrackerSample
+from ursnav_torch.devices import (
+    SILENT_S,
+    Device,
+    Frame,
+    Note,
+    OperatorInput,
+    RobotSample,
+    Stamp,
+    Stamper,
+    TrackerSample,
+)
 from ursnav_torch.session.control import Control
 from ursnav_torch.session.events import Event, Snapshot
 from ursnav_torch.session.rig import Rig
@@ -16,8 +26,6 @@ from ursnav_torch.session.supervise import Supervisor
 
 CONTROL_HZ = 50.0
 CATCH_UP_S = 0.1  # cycles that a busy machine delayed are made up for, up to this long ago
-#: What a device told within this time of a picture belongs to it.
-TOGETHER_S = 0.5
 
 
 class Live:
@@ -120,7 +128,7 @@ class Live:
 
     def _pump(self, device: Device, read: Callable[[float], Event], ends_session: bool = False) -> None:
         """Move a device's samples to the queue until it is at its end."""
-        self._supervisor.run(device, lambda: self._put(read(0.5)))
+        self._supervisor.run(device, lambda: self._put(read(SILENT_S)))
         if ends_session:
             self._end.set()
 
@@ -156,9 +164,9 @@ class Live:
 def snapshot_of(stamp: Stamp, latest: Mapping[type[Any], Any]) -> Snapshot:
     """A snapshot of the latest event of each kind: the picture, and what was told about when it was taken.
 
-    What a device said before it fell silent is left out, as `TOGETHER_S` has it.
+    What a device said before it fell silent is left out, as `SILENT_S` has it.
     """
     frame: Frame | None = latest.get(Frame)
     at_s = stamp.t_mono_s if frame is None else frame.stamp.t_mono_s
     said = (latest.get(kind) for kind in (TrackerSample, RobotSample))
-    return Snapshot(stamp, frame, *(s if s and abs(s.stamp.t_mono_s - at_s) <= TOGETHER_S else None for s in said))
+    return Snapshot(stamp, frame, *(s if s and abs(s.stamp.t_mono_s - at_s) <= SILENT_S else None for s in said))
