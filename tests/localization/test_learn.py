@@ -1,6 +1,6 @@
 """Confidence is learned from pictures that are no views of the VID, and from what was answered to them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +10,10 @@ import pytest
 from ursnav_torch.kidney import Kidney, LumenDistance
 from ursnav_torch.localization.evidence import CALYX_NUMBERS, NUMBERS, REFINED_NUMBERS, Evidence
 from ursnav_torch.localization.fitting import NOTHING
-from ursnav_torch.localization.learn import NONE_SHARE, ask, learn_confidence, simulated_queries
+from ursnav_torch.localization.learn import NONE_SHARE, ask, learn_confidence, queries_from, simulated_queries
 from ursnav_torch.localization.learned import asked_from_table
 from ursnav_torch.rendering import RaycastRenderer
+from ursnav_torch.rendering.sensor import PRESETS
 from ursnav_torch.vid import PlanSettings, Vid, plan_views
 
 PLAN = PlanSettings(views_per_calyx=2, passage_views=2, seed=5)
@@ -113,3 +114,23 @@ def test_queries_show_the_calyx_they_say_at_the_pose_they_say(vid: Vid, phantom_
     np.testing.assert_allclose([q.T_kidney_camera for q in queries], views.T_kidney_camera)
     assert {q.preset for q in queries} == {"thesis_simulation", "thesis_phantom", "in_vivo_like"}
     assert all(q.image.shape == (96, 96, 3) and q.image.std() > 3 for q in queries)
+
+
+def test_a_larger_kidney_moves_and_swells_by_as_much_more(vid: Vid, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A printed kidney: its pictures are drawn in one that changed as the kidney itself would have."""
+    drawn: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def simulated(mesh: Any, T: np.ndarray, *_: Any) -> None:
+        drawn.append((np.asarray(mesh.vertices), T))
+
+    monkeypatch.setattr("ursnav_torch.localization.learn.simulate", simulated)
+    for scale in (1.0, 2.0):
+        T, rng = vid.T_kidney_camera[3:4].copy(), np.random.default_rng(1)
+        T[:, :3, 3] *= scale
+        printed = replace(vid, kidney=vid.kidney.scaled(scale))
+        list(queries_from(printed, lambda mesh, _: mesh, T, vid.calyx[3:4], rng, {"in_vivo": PRESETS["in_vivo_like"]}))
+    (moved, T), (twice, T_twice) = drawn
+    assert np.abs(moved - vid.kidney.mesh.vertices).max() > 0.3
+    np.testing.assert_allclose(twice, 2 * moved, atol=1e-2)
+    T[:3, 3] *= 2
+    np.testing.assert_allclose(T_twice, T, atol=1e-2)

@@ -16,10 +16,10 @@ from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
 from ursnav_torch.navigation import Governor, Navigator, run_navigation
 from ursnav_torch.search import VIDEO_SEARCH, default_matching
-from ursnav_torch.session import Player, Recorder, Replay, Result, rehearse
+from ursnav_torch.session import Pace, Player, Recorder, Replay, Result, rehearse
 from ursnav_torch.simulation import Scope, World, make_twin
 from ursnav_torch.tracking.sensor import SensorReading
-from ursnav_torch.tracking.tracker import Tracker
+from ursnav_torch.tracking.tracker import TRACKING, Tracked, Tracker
 
 
 @pytest.fixture(scope="module")
@@ -320,6 +320,23 @@ class Heard:
 def heard(tracker):
     tracker.reset()
     return Heard(tracker)
+
+
+def test_wall_that_a_mask_hides_is_not_painted_live(vid, picture, monkeypatch):
+    seeing, T, upper = Tracker(vid), vid.T_kidney_camera[5], np.zeros(picture.shape, bool)
+    upper[: len(upper) // 2] = True
+    seeing.narrow(upper)
+    monkeypatch.setattr(seeing, "follow", lambda *_: Tracked(TRACKING, T, 0, 1.0, 1.0, 1.0, 0.0))
+    live = Navigator(seeing)
+    live.expect(Pace(patient=True))  # then every picture is counted
+    with live:
+        for n in range(20):
+            live.take(Frame(Stamp(n, n / 10, n / 10), picture))
+            assert live.wait()
+    coverage = live.guide.coverage
+    seen = coverage.patches.center_mm[coverage.seen()]
+    pixels, _ = vid.camera.project((seen - T[:3, 3]) @ T[:3, :3])
+    assert len(seen) > 20 and pixels[:, 1].max() < len(upper) / 2
 
 
 def test_a_silent_device_says_nothing_of_later_pictures(heard, vid, renderer):

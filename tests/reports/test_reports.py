@@ -1,4 +1,6 @@
+import json
 import re
+from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -7,15 +9,19 @@ import numpy as np
 import pytest
 import torch
 
+from ursnav_torch.devices import Frame, Stamp
 from ursnav_torch.errors import InputError
+from ursnav_torch.exploration.coverage import CalyxCoverage, Coverage
 from ursnav_torch.features import EdgePoints, read_image
 from ursnav_torch.files import no_progress
 from ursnav_torch.geometry import look_along
 from ursnav_torch.kidney import Kidney
 from ursnav_torch.localization import Localizer
 from ursnav_torch.reports import draw_edges, draw_overview
+from ursnav_torch.reports.session import session_values
 from ursnav_torch.runs.match import match_images
-from ursnav_torch.vid import Vid
+from ursnav_torch.session import Recorder, Replay, Result
+from ursnav_torch.vid import Vid, pose_cells
 
 
 class Page(HTMLParser):
@@ -117,3 +123,26 @@ def test_edges_are_strokes_along_the_edge() -> None:
     drawn = draw_edges(blank, edges, (0, 255, 0))
     y, x = np.nonzero(drawn[..., 1])
     assert np.ptp(x) in (6, 7) and np.ptp(y) <= 2 and abs(x.mean() - 30) < 1 and not blank.any()
+
+
+def test_the_session_report_tells_and_draws_the_verdicts_that_navigation_told(
+    vid: Vid, picture: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It knew what stood before the wall, and painted with it; three pictures alone inspect nothing."""
+    told, drawn = json.dumps({c.name: ["inspected", 0.9] for c in vid.kidney.calyces}), list[CalyxCoverage]()
+    row = {"state": "tracking", "accepted": True, "calyx": "A", "confidence": 1.0, "coverage": told}
+    row |= pose_cells(vid.T_kidney_camera[3:4])[0]
+    with Recorder(tmp_path / "record") as recorder:
+        for i in range(3):
+            stamp = Stamp(i, i / 10, i / 10)
+            recorder.write(Frame(stamp, picture))
+            recorder.write(Result(stamp, i, row | {"t_s": i / 10}))
+
+    def draw(coverage: Coverage, calyces: Sequence[CalyxCoverage] = ()) -> np.ndarray:
+        drawn.extend(calyces)
+        return picture
+
+    monkeypatch.setattr("ursnav_torch.reports.session.draw_coverage", draw)
+    page = session_values(vid, Replay(tmp_path / "record", speed=0))
+    assert [c["verdict"] for c in page["calyces"]] == ["inspected"] * 6 == [c.verdict for c in drawn]
+    assert {"calyces inspected", "6 of 6 in reach"} <= {word for words in page["training"] for word in words.values()}

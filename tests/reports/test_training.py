@@ -61,6 +61,12 @@ def test_time_to_inspect_goes_from_first_sight_and_only_what_counts_is_painted()
     assert calyx_training(found, "B") == {"visits": 0, "inspected": ""}
 
 
+def test_an_inspection_that_ends_between_two_looks_at_the_wall_is_counted() -> None:
+    t_s, T = 0.1 * np.arange(6.0), np.repeat(np.eye(4)[None], 6, axis=0)
+    found = training_figures(Painting(), t_s, ["A"] * 6, T, np.full(6, 0.1))  # type: ignore[arg-type]
+    assert found.inspected_s == {"A": pytest.approx(0.2)}, "seen at the look after 0.3 s, inspected at the end"
+
+
 @pytest.mark.parametrize(
     ("path_mm", "scale", "words"),
     [

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ursnav_torch.camera import equidistant_camera
+from ursnav_torch.camera import equidistant_camera, mask_text
 from ursnav_torch.columns import MATCH_COLUMNS
 from ursnav_torch.errors import InputError
 from ursnav_torch.matching import Hungarian, Nearest, Sinkhorn
@@ -313,3 +314,17 @@ def test_cropped_pictures_are_taken_where_the_cut_is_said(run: Any, vid: Vid, im
     assert all(abs(float(cut[c]) - float(good[c])) < 2.0 for c in ("x_mm", "y_mm", "z_mm"))
     other = run("match", f"vid={vid.folder}", f"images={images}", "out=x.csv", *lens[:2], "camera.crop=[0,0,200,84]")
     assert other.code == 1 and "is not inside the lens's 96 x 96 px" in other.err
+
+
+def test_what_lies_outside_the_stated_mask_is_nothing_to_the_answer(run: Any, vid: Vid, images: Path) -> None:
+    """The calibration's mask is narrower than the VID's lens; the pictures are as large as the lens's."""
+    picture, mask = cv2.imread(str(images / "good.png"), cv2.IMREAD_UNCHANGED), np.zeros((96, 96), bool)
+    mask[:, :64] = True
+    other = np.where(mask, picture, np.random.default_rng(0).integers(0, 256, mask.shape)).astype(np.uint8)
+    cv2.imwrite(str(images / "other.png"), other)
+    lens = images.parent / "lens.json"
+    lens.write_text(json.dumps(replace(vid.camera, mask=mask_text(mask)).to_dict()), encoding="utf-8")
+    stated = ("camera=file", f"camera.path={lens}")
+    assert run("match", f"vid={vid.folder}", f"images={images}", "out=rows.csv", *stated).code == 0
+    good, same = ({k: v for k, v in row.items() if k not in ("image", "seconds")} for row in read(Path("rows.csv")))
+    assert good == same and good["x_mm"]

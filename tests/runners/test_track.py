@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from flights import flight
 
+from ursnav_torch.camera import mask_text
 from ursnav_torch.columns import POSE_COLUMNS, TRACK_COLUMNS
 from ursnav_torch.devices import CameraDevice, Frame, SourceAtEndError, Stamp
 from ursnav_torch.errors import DeviceTimeoutError, InputError
@@ -147,6 +148,26 @@ def test_a_video_and_em_samples(run: Run, vid: Vid, video: Path, tmp_path: Path)
     refused = run("track", *arguments, f"em_to_kidney={registration}", f"out={tmp_path / 'b.csv'}", "em_offset_s=1000")
     assert refused.code == 1 and "mm outside the kidney" in refused.err
     assert not (tmp_path / "b.csv").exists()
+
+
+def test_the_stated_mask_of_the_lens_is_what_is_tracked_through(
+    run: Run, vid: Vid, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The calibration's mask is narrower than the VID's lens; the pictures are as large as the lens's."""
+    lens, mask, trackers = tmp_path / "lens.json", np.zeros((96, 96), bool), list[Tracker]()
+    mask[:, :64] = True
+    lens.write_text(json.dumps(replace(vid.camera, mask=mask_text(mask)).to_dict()), encoding="utf-8")
+
+    def tracked(tracker: Tracker, *_: Any) -> tuple[str, bool]:
+        trackers.append(tracker)
+        return "", True
+
+    monkeypatch.setattr("ursnav_torch.runs.track.track_source", tracked)
+    given = ["track", f"vid={vid.folder}", f"source={folder}", f"out={tmp_path / 'track.csv'}"]
+    for stated in ([], ["camera=file", f"camera.path={lens}"]):
+        assert run(*given, *stated).code == 0
+    assert trackers[0].shown is None
+    np.testing.assert_array_equal(trackers[1].shown, mask & vid.camera.pixel_rays()[1])
 
 
 @pytest.mark.parametrize(

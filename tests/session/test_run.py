@@ -40,6 +40,7 @@ from ursnav_torch.session import (
     run_session,
 )
 from ursnav_torch.session.live import snapshot_of
+from ursnav_torch.session.open import Publisher
 from ursnav_torch.simulation import SimulatedGrblRobot, SimulatedOpenIgtlTracker, Twin, TwinCamera, World
 
 NOISE = np.random.default_rng(0).integers(0, 60, (250, 250), dtype=np.uint8)
@@ -294,10 +295,19 @@ def test_other_programs_are_shown_pictures_joints_coverage_and_accepted_poses():
     assert len(shown.images) == summary.counts["Frame"] and len(shown.joints) == summary.counts["RobotSample"]
     assert len(shown.poses) == (summary.counts["Result"] + 1) // 2
     np.testing.assert_allclose(shown.poses[0][:3, 3], [1, 2, 3])
-    taken = {frame.stamp.sequence: frame.stamp.t_wall_s for frame in shown.images}
-    assert shown.moments == [t for n, t in taken.items() if n % 2 == 0][: len(shown.moments)], "the picture's own"
     assert shown.coverage == [{"A": ["glimpsed", 0.2]}]
     assert not shown.is_connected
+
+
+def test_a_pose_is_shown_with_the_time_of_its_picture_and_not_when_it_was_told():
+    shown, image = Shown(), np.zeros((4, 4), np.uint8)
+    publish = Publisher(shown)
+    row = {"accepted": True, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
+    for sequence, taken_s in ((7, 100.0), (8, 100.1)):
+        publish(Frame(Stamp(sequence, 0.0, taken_s), image))
+    for told, picture in enumerate((7, 8, 9)):
+        publish(Result(Stamp(told, 0.0, 100.3 + told), picture, row))
+    assert shown.moments == [100.0, 100.1, 102.3], "of a picture that nobody knows, when it was told"
 
 
 def test_the_status_line_tells_how_it_goes():

@@ -1,6 +1,7 @@
 """The twin as a Gymnasium environment."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,17 @@ def test_stones_lie_where_the_seed_puts_them_stop_the_scope_and_are_in_the_pictu
     assert env.step(np.zeros(3))[4]["stones"] is laid[2]
     for e in (env, bare):
         e.close()
+
+
+def test_a_printed_kidney_breathes_by_as_much_more(env, vid):
+    breaths = []
+    for scale in (1.0, 2.0):
+        env.vid = replace(vid, kidney=replace(vid.kidney, scale=scale))
+        env.reset(seed=1)
+        env._clock.now_s = 1.0
+        breaths.append(env.twin._breathing())
+    assert breaths[0].any()
+    np.testing.assert_allclose(breaths[1], 2 * breaths[0])
 
 
 def test_without_pictures_all_else_is_the_same(vid):

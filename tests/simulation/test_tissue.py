@@ -9,7 +9,17 @@ from ursnav_torch.devices import Drive, Joints
 from ursnav_torch.errors import InputError
 from ursnav_torch.geometry import transform_from
 from ursnav_torch.rendering import RaycastRenderer
-from ursnav_torch.simulation import CALM, Scope, SimulatedTime, Tissue, TissueSettings, Twin, World, draw_tissue
+from ursnav_torch.simulation import (
+    CALM,
+    Scope,
+    SimulatedTime,
+    Tissue,
+    TissueSettings,
+    Twin,
+    World,
+    draw_tissue,
+    make_twin,
+)
 from ursnav_torch.simulation.stones import ObstructedLumen, distance_to_stone, lay_stones
 from ursnav_torch.simulation.world import operated_twin, swelling_renderer
 
@@ -131,6 +141,16 @@ def test_a_twin_is_what_its_tissue_says(vid, renderer) -> None:
     wider, rest = drawn().render(start).depth_mm, renderer.render(start).depth_mm
     seen = np.isfinite(wider) & np.isfinite(rest)
     assert np.median(wider[seen] - rest[seen]) > 0.5
+
+
+def test_the_twin_of_a_printed_kidney_swells_by_as_much_more(vid, renderer) -> None:
+    clock, at, gained = SimulatedTime(), vid.kidney.centerline.points_mm[:1], []
+    for scale in (1.0, 2.0):
+        world = World(replace(vid.kidney, scale=scale), renderer, vid.lumen, clock=clock)
+        twin = make_twin(world, tissue=only("swells"))
+        clock.now_s += 600.0
+        gained.append(twin._clearance(at) - vid.lumen.clearance_mm(at))
+    assert gained[1] == pytest.approx(2 * gained[0]) and gained[0] > 0.1
 
 
 def test_stones_do_not_give_way_to_irrigation(vid, renderer) -> None:
