@@ -20,12 +20,13 @@ live: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[viewer]'
 	$(BIN)/python -m ursnav_torch.demo live out=ursnav_demo
 
-# Two processes, a file of tests to each in turn: WORKERS=0 runs them in one, to look into a failure.
+# Two processes, a file of tests to each in turn, those with slow tests first (tests/conftest.py). WORKERS=0 runs them in
+# one, to look into a failure.
 WORKERS ?= 2
 # The browser draws the kidney without a graphics card and wants both cores for itself.
 BROWSED := $(wildcard tests/page/test_*_browser.py)
 test: check
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(addprefix --ignore=,$(BROWSED))
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(BROWSED))
 	$(BIN)/python -m pytest $(BROWSED)
 
 # A site in ursnav_site/; every warning is an error.
