@@ -103,7 +103,7 @@ class ChallengerSettings:
             beside it after few tries, not varied by a command.
         persist_s: alignments that were not believed, but follow each other for so long as the robot moved, each with a
             score of ``leap_above``, are: the tip has been let go, or the track had slipped before. 0.25, 0.5 and 100 s
-            give a place in 99.1, 99.2 and 97.8 % of the choosing flights' pictures, 0.5, 0.5 and 0.3 % of these too far
+            give a place in 99.1, 99.2 and 97.7 % of the choosing flights' pictures, 0.5, 0.5 and 0.3 % of these too far
             off, and in 98.5, 98.5 and 98.4 % of six choosing inspections', 1.3, 1.4 and 1.4 % too far off
             (`benchmarks.flights half=choosing phantoms=16 odometry=true vary=challenger.persist_s=0.5,100`, and with
             ``phantoms=12 inspections=450 views=150 around=2`` the inspections).
