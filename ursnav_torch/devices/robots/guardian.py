@@ -8,13 +8,11 @@ armed one is silent for too long, or has died, the stop is written to the robot'
 but the standard library, so that it starts at once and needs little memory.
 """
 
-import fcntl
 import os
 import select
 import struct
 import subprocess
 import sys
-import termios
 from contextlib import suppress
 
 ARMED, DISARMED = b"+", b"-"
@@ -45,6 +43,9 @@ class Guardian:
     @property
     def is_alive(self) -> bool:
         """Whether it watches: it runs, and reads what it is told."""
+        import fcntl  # where there is no POSIX the drivers can still be imported
+        import termios
+
         if self._process.poll() is not None:
             return False
         try:
