@@ -27,8 +27,8 @@ reaches 0.6 to 0.9: it is the search that fails, in fast turns. Tried against th
 * starts turned by no more than 20, 30 or 40 degrees: 95.4 to 95.8 % (96.1 %), 0.7 to 0.9 % too far off (1.1 %);
 * four poses drawn about every track that is aligned with less than 0.65 (0.8 mm and 10 degrees), the best kept, by code
   that is not kept: a place in 97.6 % (97.1 %), 0.9 % too far off (0.8 %);
-* pictures of a track that is sure of its place located anew as stills every 0.5 or 2 s, to move it where a still is surely
-  found more than 3 mm away and aligned better: not one of the 24 tracks was moved, by code that is not kept;
+* pictures of a track that is sure of its place located anew as stills every 0.5 or 2 s, to move it where a still is
+  surely found more than 3 mm away and aligned better, by code that is not kept: not one of the 24 tracks was moved;
 * regions told from the alignment's normal matrix, or from how far apart alignments end that score about the same: a
   place too far off counting as 3.3 missing ones, 93.4 to 94.1 % of the poses instead of 93.6 %.
 """
