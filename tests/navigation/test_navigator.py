@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from flights import hover
+from painted import painted_rows, upper_half
 
 from ursnav_torch.camera import mask_text
 from ursnav_torch.devices import Drive, Frame, Joints, RobotSample, Segment, Stamp, TrackerSample
@@ -323,9 +324,8 @@ def heard(tracker):
 
 
 def test_wall_that_a_mask_hides_is_not_painted_live(vid, picture, monkeypatch):
-    seeing, T, upper = Tracker(vid), vid.T_kidney_camera[5], np.zeros(picture.shape, bool)
-    upper[: len(upper) // 2] = True
-    seeing.narrow(upper)
+    seeing, T = Tracker(vid), vid.T_kidney_camera[5]
+    seeing.narrow(upper_half(picture.shape))
     monkeypatch.setattr(seeing, "follow", lambda *_: Tracked(TRACKING, T, 0, 1.0, 1.0, 1.0, 0.0))
     live = Navigator(seeing)
     live.expect(Pace(patient=True))  # then every picture is counted
@@ -333,10 +333,8 @@ def test_wall_that_a_mask_hides_is_not_painted_live(vid, picture, monkeypatch):
         for n in range(20):
             live.take(Frame(Stamp(n, n / 10, n / 10), picture))
             assert live.wait()
-    coverage = live.guide.coverage
-    seen = coverage.patches.center_mm[coverage.seen()]
-    pixels, _ = vid.camera.project((seen - T[:3, 3]) @ T[:3, :3])
-    assert len(seen) > 20 and pixels[:, 1].max() < len(upper) / 2
+    rows = painted_rows(live.guide.coverage, vid.camera, T)
+    assert len(rows) > 20 and rows.max() < len(picture) / 2
 
 
 def test_a_silent_device_says_nothing_of_later_pictures(heard, vid, renderer):
