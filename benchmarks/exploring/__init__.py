@@ -13,6 +13,11 @@ calyces in reach, and to before the necks that it looked through, without and wi
 halves; results are kept in ``work`` for each phantom and setting, and the next call goes on from there. ``tissue=``
 names what an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`). What a scope
 can see is what ``views`` a calyx see, and ``around`` times as many that look any way.
+
+Of twelve phantoms explored by the tracker's places one calyx was called inspected that was not (``flights_49``, E). Looked
+at picture by picture, by no command: the scope stood before the stone that bars it, and of 1,074 poses 63 were more than
+3 mm off, most of them told 4 to 7 mm deeper in that calyx, past the stone, with a deviation of 1.0 to 2.5 mm and no other
+calyx in the set.
 """
 
 import hashlib
