@@ -111,7 +111,8 @@ def _judge(report: Report, vid: Vid, exploration: Exploration, group: str, follo
     for _, last in follow(tracker, source, beside):
         answers.append(last)
         if last.T_kidney_camera is not None and last.is_settled:
-            coverage.add(last.T_kidney_camera, 0.1)
+            coverage.look_through(tracker.shown)
+            coverage.add(last.T_kidney_camera, 0.1, last.bodies, last.position_sd_mm)
     rate = len(answers) / (time.perf_counter() - start)
     for pose in T[: len(answers)]:
         truth.add(pose, 0.1)

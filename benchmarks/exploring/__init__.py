@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.exploring.sight import StoneSight
+from benchmarks.exploring.sight import CoverageBehind, StoneSight
 from benchmarks.exploring.tours import shortest_tours_mm
 from benchmarks.exploring.twins import Anatomy, anatomy_of, stone_in, tissue_of, twin_in
 from benchmarks.shared.fingerprints import sources
@@ -126,7 +126,8 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
     """Explore one phantom; the facts, as they are kept."""
     rng, kidney, lumen = np.random.default_rng([case.seed, 21]), known.kidney, known.lumen
     stone, blocked = stone_in(known, rng)
-    own, truth = (Coverage(kidney, known.camera, lumen, known.T_kidney_camera[::2]) for _ in range(2))
+    own = Coverage(kidney, known.camera, lumen, known.T_kidney_camera[::2])
+    truth = CoverageBehind(stone, kidney, known.camera, lumen, known.T_kidney_camera[::2])
     explorer = Explorer(own, lumen, careful)
     clock = SimulatedTime()
     twin = twin_in(case, known, rng, clock, stone, tissue_of(settings["tissue"]))
@@ -224,7 +225,8 @@ def tracker_of(vid: Vid) -> Callable[[Twin, float], PictureAnswer]:
         sure = tracked.certainty
         calyces = () if sure is None else tuple(c for c in sure.calyces if c >= 0)
         sd = None if sure is None else sure.position_sd_mm
-        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled, tracker.slider_play_mm, stones)
+        play = tracker.slider_play_mm
+        return PictureAnswer(tracked.T_kidney_camera, calyces, sd, tracked.is_settled, play, stones, tracked.bodies)
 
     return locate
 

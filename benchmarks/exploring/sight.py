@@ -1,9 +1,12 @@
-"""The stone in a phantom as pictures tell of it: through the map of stones, or in its stead where none are drawn."""
+"""The stone in a phantom: what it hides, and what pictures tell of it where none are drawn."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.exploring.twins import Anatomy
+from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.rendering import RayScene
 from ursnav_torch.stones import THERE, FoundStone
 
@@ -49,3 +52,27 @@ class StoneSight:
         if not 0 < near < _NEARER_MM or not self._camera.project((way @ T[:3, :3])[None])[1][0]:
             return False
         return bool(self._scene.depth_mm(T[:3, 3], way[None] / distance)[0] >= near)
+
+
+class CoverageBehind(Coverage):
+    """The wall as true poses see it, but for what lies behind a stone.
+
+    Args:
+        stone: x, y, z and radius of the stone.
+        of: as of `Coverage`.
+    """
+
+    def __init__(self, stone: Array, *of: Any) -> None:
+        super().__init__(*of)
+        self._stone = stone
+
+    def surely_in_view(
+        self, T_kidney_camera: Array, position_sd_mm: float, among: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.int64]:
+        """See `Coverage.surely_in_view`."""
+        seen = super().surely_in_view(T_kidney_camera, position_sd_mm, among)
+        way = self.patches.center_mm[seen] - T_kidney_camera[:3, 3]
+        to_stone = self._stone[:3] - T_kidney_camera[:3, 3]
+        nearest = np.clip(way @ to_stone / np.sum(way**2, axis=1), 0, 1)  # share of the way
+        apart = np.linalg.norm(to_stone - nearest[:, None] * way, axis=1)
+        return seen[apart > self._stone[3]]

@@ -12,8 +12,11 @@ from ursnav_torch.tracking.tracker import LOST, TRACKING
 Array = NDArray[np.float64]
 #: A track this far off is wrong; a loss is over when it is nearer again.
 FAR_MM = 3.0
+_SD, _SCORE = TOLD.index("sd_mm"), TOLD.index("score")
 #: A pose this near to the true one names another calyx only where it is on a border.
 NEAR_MM, NEAR_DEG = 1.0, 10.0
+#: Deviations up to which a picture may count as coverage, mm; the last is that of `CoverageSettings`.
+SURE_MM = (2.0, 1.5, 1.2, 0.9)
 
 
 def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
@@ -35,6 +38,7 @@ def add_scores(report: Report, group: str, records: Sequence[Record]) -> None:
     for where, at in (("", known), (", foggiest quarter", known & (fog >= np.quantile(fog, 0.75)))):
         share = 100 * float(held[at].mean())
         report.add(group, f"90 % region holds the truth{where}", "%", [share], n=int(at.sum()))
+    _add_counted(report, group, records, known)
     turned = np.concatenate([r.turned_deg for r in records])
     report.add(group, "direction", "deg", turned[known].tolist())
     true, named = (np.concatenate([getattr(r, name) for r in records]) for name in ("true_calyx", "calyx"))
@@ -75,12 +79,23 @@ def losses_s(record: Record) -> list[float]:
     return [float(t[e] - t[s]) for s, e in zip(edges[::2].tolist(), ends, strict=True)]
 
 
+def _add_counted(report: Report, group: str, records: Sequence[Record], known: NDArray[np.bool_]) -> None:
+    """How many pictures coverage counts if their places may be off by so much, and how many of these are too far."""
+    off, sd = np.concatenate([r.off_mm for r in records]), np.concatenate([r.told[:, _SD] for r in records])
+    shown = known & np.isfinite(np.concatenate([r.told[:, _SCORE] for r in records]))
+    for limit in SURE_MM:
+        counted = shown & (sd <= limit)
+        share, far = 100 * float(counted.sum()) / max(int(shown.sum()), 1), int((off[counted] > FAR_MM).sum())
+        report.add(group, f"deviation of at most {limit:g} mm, of places seen", "%", [share], n=int(shown.sum()))
+        report.add(group, f"of these more than 3 mm off ({limit:g} mm)", "pictures", [far], n=int(counted.sum()))
+
+
 def _add_causes(report: Report, group: str, records: Sequence[Record]) -> None:
     """Why pictures have no place: before the first one, refused, a region too wide for one, or no pose at all."""
     state = np.concatenate([r.state for r in records])
     since = np.concatenate([np.logical_or.accumulate(r.state == TRACKING) for r in records])
     posed = np.isfinite(np.concatenate([r.off_mm for r in records]))
-    shown = np.isfinite(np.concatenate([r.told[:, TOLD.index("score")] for r in records]))
+    shown = np.isfinite(np.concatenate([r.told[:, _SCORE] for r in records]))
     later = (state != TRACKING) & (state != LOST) & since
     for why, at in (
         ("before the first", ~since),

@@ -15,6 +15,7 @@ from ursnav_torch.autonomy import Explorer, Perception
 from ursnav_torch.devices import CommandSample, Gamepad, Note, OperatorInput, Robot, Stamper
 from ursnav_torch.devices.robots.safety import ARMED
 from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.navigation.autopilot import Autopilot
 from ursnav_torch.session.control import Control
 from ursnav_torch.simulation import SimulatedTime, SteppedRobot, Twin
@@ -37,6 +38,7 @@ class PictureAnswer:
         settled: whether the wall seen may be counted.
         slack_mm: the slider's play as it was learned; None where nobody says.
         stones: those that pictures told of until now.
+        bodies: stones and instruments in it, behind which no wall counts.
     """
 
     T_kidney_camera: Array | None
@@ -45,6 +47,7 @@ class PictureAnswer:
     settled: bool = True
     slack_mm: float | None = None
     stones: tuple[FoundStone, ...] = ()
+    bodies: tuple[ForegroundBody, ...] = ()
 
 
 #: Makes a sighting of the scope as it is at a time, s.
@@ -194,7 +197,7 @@ class Rehearsal:
             self._newest = (taken_s, sighting)  # without a place, too: then it must not go on, as live
             if sighting.T_kidney_camera is not None and sighting.settled:
                 sd, stood_s = sighting.position_sd_mm, taken_s - self._painted_s
-                self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, position_sd_mm=sd)
+                self.explorer.coverage.add(sighting.T_kidney_camera, stood_s, sighting.bodies, sd)
             self._painted_s = taken_s
 
     def _perceive(self, robot: Robot) -> Perception:
