@@ -143,6 +143,23 @@ def test_impossible_settings_are_refused() -> None:
         CoverageSettings(nearest_mm=20.0)
     with pytest.raises(InputError, match="glimpsed <= inspected"):
         CoverageSettings(glimpsed=0.9)
+    with pytest.raises(InputError, match="largest_sd_mm > 0, got 0"):
+        CoverageSettings(largest_sd_mm=0.0)
+
+
+@pytest.mark.parametrize(("sd_mm", "counts"), [(None, True), (0.85, True), (0.95, False), (np.nan, False)])
+def test_a_picture_counts_only_where_its_place_is_sure(
+    coverage: Coverage, vid: Vid, sd_mm: float | None, counts: bool
+) -> None:
+    coverage.add(vid.T_kidney_camera[5], 0.1, position_sd_mm=sd_mm)
+    assert (coverage.seen_s > 0).any() == counts
+
+
+def test_a_larger_kidney_allows_a_larger_deviation(phantom: Kidney, lens: Camera, vid: Vid) -> None:
+    larger = replace(phantom, scale=2.0 * phantom.scale)
+    coverage = Coverage(larger, lens, LumenDistance.from_kidney(larger))
+    coverage.add(vid.T_kidney_camera[5], 0.1, position_sd_mm=1.2)
+    assert (coverage.seen_s > 0).any()
 
 
 def test_of_a_place_that_may_be_off_only_wall_counts_that_shows_all_the_same(coverage: Coverage, vid: Vid) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from ursnav_torch.autonomy import Explorer, State
 from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.features.foreground import ForegroundBody
 from ursnav_torch.geometry import look_along
 from ursnav_torch.navigation.rehearsal import PictureAnswer, Rehearsal, SimulatedOperator
 from ursnav_torch.simulation import SimulatedTime, Twin
@@ -77,3 +78,14 @@ def test_stones_that_pictures_told_of_reach_the_explorer(make):
     rehearsed.run(1.0)
     assert {stones for seen_s, stones in told if seen_s <= 0.3} == {()}
     assert {stones for seen_s, stones in told if seen_s > 0.35} == {(stone,)}
+
+
+def test_wall_behind_what_a_picture_shows_before_it_does_not_count(make):
+    """Nothing is painted while a stone fills the picture, or while the place may be too far off."""
+    everywhere = ForegroundBody("stone", 0.99, (0.0, 0.0), 1.0, 1.0, np.ones((8, 8), bool))
+    for changes, counts in (({}, True), ({"bodies": (everywhere,)}, False), ({"position_sd_mm": 1.0}, False)):
+        rehearsed = make()
+        seen = rehearsed._locate
+        rehearsed._locate = lambda twin, t_s, seen=seen, changes=changes: replace(seen(twin, t_s), **changes)
+        rehearsed.run(1.0)
+        assert rehearsed.explorer.coverage.seen_s.any() == counts, changes
