@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.exploring.sight import CoverageBehind, StoneSight
+from benchmarks.exploring.sight import CoverageBehind, StoneSight, in_sight
 from benchmarks.exploring.tours import shortest_tours_mm
 from benchmarks.exploring.twins import Anatomy, anatomy_of, stone_in, tissue_of, twin_in
 from benchmarks.shared.fingerprints import sources
@@ -139,7 +139,9 @@ def explore_phantom(case: Case, known: Anatomy, careful: AutonomySettings, setti
         operator.hands_over = lambda: rehearsal.autopilot.is_placed
     begun = time.monotonic()
     found = rehearsal.run(settings["seconds"], truth)
-    return facts(explorer, rehearsal, found, truth, (stone, blocked)) | {"took_s": time.monotonic() - begun}
+    seen = in_sight(known, stone)
+    told = facts(explorer, rehearsal, found, truth, (stone, blocked))
+    return told | {"took_s": time.monotonic() - begun, "stone_in_sight": seen}
 
 
 def facts(
@@ -160,6 +162,7 @@ def facts(
         "disarmed": found.disarmed, "faults": found.faults[:5],
         "position_mm": np.percentile(found.off_mm, [50, 90]).tolist(),
         "states": {s: found.states.count(s) for s in dict.fromkeys(found.states)},
+        "ways_mm": found.ways_mm(),
         "stones": told_stones(found.stones, stone, blocked),
         "settings": asdict(careful),
         "calyces": [
@@ -271,10 +274,13 @@ def add_figures(report: Report, found: Sequence[dict[str, Any]]) -> None:
         wrong = sum(c["true_share"] < least for c in said)
         report.add("exploring", f"called inspected, less than {least:.0%} really seen", "calyces", [wrong], n=len(said))
     for what, name in (("wall", "with the wall"), ("stone", "with the stone"), ("by_hand", "of who leads it in")):
-        report.add("exploring", f"forced contacts {name}, a kidney", "contacts", [f["forced"][what] for f in found])
+        report.add("exploring", f"forced contacts {name}", "contacts", [sum(f["forced"][what] for f in found)])
     for what, length in (("", "tour_mm"), (" that finds the stone, too", "tour_with_stone_mm")):
         ratios = [f["path_mm"] / f[length] for f in found]
         report.add("exploring", f"path over shortest tour{what}", "x", ratios)
+    for state in (State.APPROACHING, State.INSPECTING, State.RETREATING, State.WITHDRAWING, State.LOOKING):
+        shares = [f["ways_mm"].get(state.value, 0.0) / f["tour_mm"] for f in found]
+        report.add("exploring", f"path while {state.value}, over shortest tour", "x", shares)
     add_stones(report, found)
     report.add("exploring", "limits passed", "times", [sum(f["limits_passed"] for f in found)], n=len(found))
     report.add("exploring", "disarmed by the watchdog", "times", [sum(f["disarmed"] for f in found)], n=len(found))
@@ -290,6 +296,12 @@ def add_stones(report: Report, found: Sequence[dict[str, Any]]) -> None:
     right = [s for s in told if s["right"]]
     report.add(
         "exploring", "stones told", "%", [100 * len(right) / len(found)], f"{len(right)}/{len(found)}", len(found)
+    )
+    seen = [f for f in found if f["stone_in_sight"]]
+    hits = sum(s["right"] for f in seen for s in f["stones"])
+    share = 100 * hits / max(len(seen), 1)
+    report.add(
+        "exploring", "of stones that a pose in reach shows, told", "%", [share], f"{hits}/{len(seen)}", len(seen)
     )
     wrong = [sum(not s["right"] for s in f["stones"]) for f in found]
     report.add("exploring", "stones told that are none, a kidney", "stones", wrong)

@@ -6,8 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.exploring.twins import Anatomy
+from ursnav_torch.autonomy.neck import find_neck
+from ursnav_torch.autonomy.steering import Way
+from ursnav_torch.camera import Camera
+from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
 from ursnav_torch.rendering import RayScene
+from ursnav_torch.scaling import scaled
 from ursnav_torch.stones import THERE, FoundStone
 
 Array = NDArray[np.float64]
@@ -46,12 +51,31 @@ class StoneSight:
 
     def _shows(self, T: Array) -> bool:
         """Whether the middle of the stone's near side is in the picture."""
-        way = self._stone[:3] - T[:3, 3]
-        distance = float(np.linalg.norm(way))
-        near = distance - float(self._stone[3])
-        if not 0 < near < _NEARER_MM or not self._camera.project((way @ T[:3, :3])[None])[1][0]:
-            return False
-        return bool(self._scene.depth_mm(T[:3, 3], way[None] / distance)[0] >= near)
+        return shows(T, self._stone, self._camera, self._scene)
+
+
+def shows(T_kidney_camera: Array, stone: Array, camera: Camera, scene: RayScene) -> bool:
+    """Whether a picture from a pose (4, 4) shows the middle of the near side of a stone (x, y, z, radius)."""
+    T = T_kidney_camera
+    way = stone[:3] - T[:3, 3]
+    distance = float(np.linalg.norm(way))
+    near = distance - float(stone[3])
+    if not 0 < near < _NEARER_MM or not camera.project((way @ T[:3, :3])[None])[1][0]:
+        return False
+    return bool(scene.depth_mm(T[:3, 3], way[None] / distance)[0] >= near)
+
+
+def in_sight(known: Anatomy, stone: Array) -> bool:
+    """Whether any pose before the necks that the scope does not pass shows a stone (x, y, z, radius)."""
+    kidney, scene = known.kidney, RayScene(known.kidney.mesh)
+    ways = [Way(kidney, calyx) for calyx in range(len(kidney.calyces))]
+    necks = [find_neck(way, scaled(ScopeLimits(), kidney.scale), kidney.scale) for way in ways]
+    for T in known.T_kidney_camera:
+        way = min(ways, key=lambda way: way.away_mm(T[:3, 3]))
+        neck = necks[way.calyx]
+        if (neck is None or way.place_mm(T[:3, 3]) <= neck.end_mm) and shows(T, stone, known.camera, scene):
+            return True
+    return False
 
 
 class CoverageBehind(Coverage):

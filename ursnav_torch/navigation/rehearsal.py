@@ -106,6 +106,12 @@ class Rehearsed:
         places = np.array(self.places_mm).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
+    def ways_mm(self) -> dict[str, float]:
+        """The parts of `path_mm` that it went in each state."""
+        steps = np.linalg.norm(np.diff(np.array(self.places_mm).reshape(-1, 3), axis=0), axis=1)
+        states = np.array(self.states[1:])
+        return {state: float(steps[states == state].sum()) for state in dict.fromkeys(self.states[1:])}
+
 
 class Rehearsal:
     """Steps through an exploration.
