@@ -1,10 +1,13 @@
 """The inspection of a calyx: views are weighed while it stands, taken up, held, and ended where none shows more."""
 
+from types import SimpleNamespace
+
 import pytest
 from conftest import later
 
 from ursnav_torch.autonomy.inspection import Inspection
 from ursnav_torch.autonomy.next_view import ViewPlan
+from ursnav_torch.exploration.coverage import CoverageSettings
 
 
 class Plans:
@@ -12,6 +15,7 @@ class Plans:
 
     def __init__(self, best: ViewPlan | None) -> None:
         self.best, self.least = best, []
+        self.coverage = SimpleNamespace(of_kidney=CoverageSettings())
 
     def candidates(self, seen, T, calyx, least_gain):
         self.least.append(least_gain)
@@ -75,3 +79,40 @@ def test_only_its_own_time_counts(begun, at_root) -> None:
     assert inspection.lasted_s == pytest.approx(0.4)
     inspection.reset()
     assert inspection.lasted_s == 0.0
+
+
+def test_where_the_place_is_not_sharp_it_waits_for_a_sharper_one_before_it_gives_up(begun, at_root) -> None:
+    inspection, T = begun(None), at_root.T_kidney_camera
+    seen, waited = later(at_root, 0.0, position_sd_mm=0.6), 0.0
+    while inspection.step(seen, T, 0, 0.5) is not None:
+        seen, waited = later(seen, 0.02), waited + 0.02
+    assert 2.0 < waited < 2.3
+    inspection, seen, waited = begun(None), later(at_root, 0.0, position_sd_mm=0.6), 0.0
+    while inspection.step(seen, T, 0, 0.5) is not None:
+        seen, waited = later(seen, 0.02, position_sd_mm=0.6 if waited < 0.5 else 0.3), waited + 0.02
+    assert 0.5 < waited < 0.8
+
+
+def test_a_view_is_held_for_as_long_as_pictures_count(begun, at_root) -> None:
+    """A place surely known to no better than coverage asks for paints nothing, so that the view is held on."""
+    inspection, T = begun(ViewPlan(at_root.bend_rad, at_root.insertion_mm, 0.2, 0.01)), at_root.T_kidney_camera
+    seen = at_root
+    while inspection._view is None:
+        inspection.step(seen := later(seen, 0.02), T, 0, 0.5)
+    for _ in range(100):
+        inspection.step(seen := later(seen, 0.02, position_sd_mm=1.0), T, 0, 0.5)
+    assert len(inspection._planner.least) == 1, "2 s"
+    for _ in range(24):
+        inspection.step(seen := later(seen, 0.02, position_sd_mm=0.3), T, 0, 0.5)
+    assert inspection._view is None
+
+
+def test_a_view_is_gone_to_on_after_a_stop(begun, at_root) -> None:
+    """Ten seconds of standing in doubt are no part of the time that a view may take."""
+    inspection, T = begun(ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01)), at_root.T_kidney_camera
+    seen = at_root
+    while inspection.step(seen, T, 0, 0.5).is_still:
+        seen = later(seen, 0.02)
+    inspection.resume(seen := later(seen, 10.0))
+    assert not inspection.step(later(seen, 3.9), T, 0, 0.5).is_still
+    assert inspection.lasted_s < 5.0 and len(inspection._planner.least) == 1

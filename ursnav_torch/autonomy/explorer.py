@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ursnav_torch.autonomy.free_space import FreeSpace
 from ursnav_torch.autonomy.inspection import Inspection
-from ursnav_torch.autonomy.neck import Bar, find_neck, find_stone
+from ursnav_torch.autonomy.neck import Bar, StoneInTheWay, find_neck, find_stone
 from ursnav_torch.autonomy.next_view import ViewPlanner
 from ursnav_torch.autonomy.perception import Perception, Permission, Wish
 from ursnav_torch.autonomy.resistance import Push
@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 _OUT_MM = 0.2
 #: A round of looking about takes so long.
 _SWEEP_S = 6.0
+#: An inspection that a doubt broke off goes on where the tip is within so far of where it was, mm at scale 1.
+_SAME_PLACE_MM = 2.0
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
 _DEEPER_MM = 1.0
 
@@ -80,6 +82,7 @@ class Explorer:
         self._room_mm = s.room_mm
         self._doubts = self._hits = self._losses = 0
         self._left: set[int] = set()  # calyces that it comes back to
+        self._inspected_from: Array | None = None  # where a doubt broke an inspection off
         self._blocked, self._deepest_mm, self._backed_from = "", 0.0, 0.0
 
     @property
@@ -118,6 +121,8 @@ class Explorer:
         if state in MOVING and self.target < 0 and state is not State.WITHDRAWING:
             doubt = doubt or "the calyx that it was on its way to is left out"
         if doubt and state not in (State.LOOKING, State.WITHDRAWING):
+            if state is not State.INSPECTING:
+                self._inspected_from = None
             self._to(State.LOOKING, seen, doubt)
         wish = self._act(seen, doubt)
         return wish if self.machine.state in MOVING else Wish()
@@ -192,7 +197,7 @@ class Explorer:
             if self._doubts > s.withdrawals:
                 self._finish(seen, f"gave up: {doubt or self.machine.reason}")
             else:
-                self._lost_at = joints(seen.bend_rad, seen.insertion_mm)
+                self._lost_at, self._inspected_from = joints(seen.bend_rad, seen.insertion_mm), None
                 self._to(State.WITHDRAWING, seen, doubt)
         else:
             self.machine.reason = doubt or self.machine.reason
@@ -215,8 +220,19 @@ class Explorer:
         """Choose what is next, and begin to go there; where the target stays, so does what was tried."""
         if self.target < 0:
             self._choose(seen)
+        elif self._stands_where_it_inspected(seen):
+            self._inspection.resume(seen)
+            self._to(State.INSPECTING, seen, f"looks on at the wall of calyx {self.visits[self.target].calyx}")
+            return
         if not self.finished:
             self._to(State.RETREATING, seen, f"to calyx {self.visits[self.target].calyx}")
+
+    def _stands_where_it_inspected(self, seen: Perception) -> bool:
+        """Whether a doubt broke an inspection off here."""
+        from_mm, T = self._inspected_from, seen.T_kidney_camera
+        if from_mm is None or T is None:
+            return False
+        return float(np.linalg.norm(T[:3, 3] - from_mm)) <= _SAME_PLACE_MM * self._unit
 
     def _choose(self, seen: Perception) -> None:
         """The next calyx of the shortest tour through all that are open; those tried before come last."""
@@ -231,12 +247,17 @@ class Explorer:
             return
         self.target, self._hits, self._losses, self._room_mm = order[0], 0, 0, self.settings.room_mm
         self._inspection.reset()
+        self._inspected_from = None
         self._blocked, self._deepest_mm = "", 0.0
 
     def _leave_out_hidden(self) -> None:
-        """Leave out the calyces behind what bars the way, from before which next to nothing of them is seen."""
+        """Leave out the calyces behind stones, from before which next to nothing of them is seen.
+
+        Those behind necks are looked into, however little of their wall shows: a stone may lie there.
+        """
         for calyx, (visit, bar) in enumerate(zip(self.visits, self._bars, strict=True)):
-            if bar is not None and visit.verdict == OPEN and self._shown(calyx, bar) < self._least[0]:
+            stone = isinstance(bar, StoneInTheWay)
+            if bar is not None and stone and visit.verdict == OPEN and self._shown(calyx, bar) < self._least[0]:
                 self.leave_out(calyx, bar.reason(visit.calyx))
 
     def _shown(self, calyx: int, bar: Bar) -> float:
@@ -319,7 +340,7 @@ class Explorer:
 
     def _inspect(self, seen: Perception, T: Array) -> Wish:
         """Turn to the wall that was not seen, until enough was, or no view shows more."""
-        s, share = self.settings, self._share(self.target)
+        s, share, self._inspected_from = self.settings, self._share(self.target), T[:3, 3]
         if share >= s.done_share:
             self._close(seen, "")
             return Wish()

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _VIEWS_A_CYCLE = 2
 #: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
 _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
+#: A place is sharp whose deviation is no more than this, mm at scale 1; for a sharper one it is waited no longer.
+_SHARP_MM, _WAIT_S = 0.35, 2.0
 
 
 class Inspection:
@@ -44,16 +46,22 @@ class Inspection:
         self._at_s = seen.t_s
         self._forget()
 
+    def resume(self, seen: Perception) -> None:
+        """Go on after a stop; the view that was gone to still is."""
+        stood_s, self._at_s = seen.t_s - self._at_s, seen.t_s
+        self._view_s, self._held_s = self._view_s + stood_s, self._held_s + stood_s
+
     def _forget(self) -> None:
         self._weighed: Iterator[ViewPlan | None] | None = None
         self._best: ViewPlan | None = None
         self._view: ViewPlan | None = None
         self._view_s = self._held_s = 0.0  # since when it is gone to, and held
+        self._none_s = np.inf  # since when no view shows more
 
     def step(self, seen: Perception, T: Array, calyx: int, missing: float) -> Wish | None:
         """One cycle of control at a pose (4, 4), while so much of a calyx's wall is missing; None: nothing shows more.
 
-        Still while views are weighed.
+        Still while views are weighed, and for a while where no view would surely show more from a place not sharp.
         """
         self.lasted_s, self._at_s = self.lasted_s + seen.t_s - self._at_s, seen.t_s
         if self._view is not None:
@@ -67,14 +75,24 @@ class Inspection:
             except StopIteration:
                 self._weighed, self._view = None, self._best
                 self._view_s = self._held_s = seen.t_s
-                return None if self._view is None else Wish()
+                if self._view is not None:
+                    self._none_s = np.inf
+                    return Wish()
+                return Wish() if self._waits(seen) else None
         return Wish()
 
+    def _waits(self, seen: Perception) -> bool:
+        """Whether no view shows more only as the place is not sharp, which it may still become."""
+        self._none_s = min(self._none_s, seen.t_s)
+        sharp = seen.position_sd_mm is None or seen.position_sd_mm <= _SHARP_MM * self._steering.space.scale
+        return not sharp and seen.t_s - self._none_s < _WAIT_S
+
     def _go_to(self, plan: ViewPlan, seen: Perception, T: Array) -> Wish:
-        """Take up a view and hold it."""
+        """Take up a view and hold it while pictures count."""
         s, steering = self._settings, self._steering
         bend, push = plan.bend_rad - seen.bend_rad, plan.insertion_mm - seen.insertion_mm
-        if np.hypot(*bend) >= _THERE_RAD or abs(push) >= _THERE_MM * steering.space.scale:
+        counts = (seen.position_sd_mm or 0.0) <= self._planner.coverage.of_kidney.largest_sd_mm
+        if np.hypot(*bend) >= _THERE_RAD or abs(push) >= _THERE_MM * steering.space.scale or not counts:
             self._held_s = seen.t_s
         if seen.t_s - self._held_s > _HOLD_S or seen.t_s - self._view_s > _LONGEST_VIEW_S:
             self._view = None

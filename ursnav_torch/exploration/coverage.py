@@ -163,8 +163,7 @@ class Coverage:
             seconds: how long it stood.
             bodies: stones and instruments in the picture.
             position_sd_mm: how far off the place may be, two of three times; wall counts that is in view all the same,
-                and none where it may be off by more than `CoverageSettings.largest_sd_mm`. None where the place is known
-                exactly.
+                and none where it may be off by more than `CoverageSettings.largest_sd_mm`. None where it is known.
         """
         if position_sd_mm is not None and not position_sd_mm <= self.of_kidney.largest_sd_mm:
             return
