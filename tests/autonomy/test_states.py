@@ -158,3 +158,23 @@ def test_no_wish_gets_out_of_a_state_that_does_not_move(explorer, at_root, state
     monkeypatch.setattr(explorer, "_permit", lambda seen, may: None)
     explorer.machine.state = state
     assert explorer.step(at_root, HELD).is_still
+
+
+@pytest.mark.parametrize(("moved_mm", "withdraws", "then"), [
+    (0.5, False, State.INSPECTING), (6.0, False, State.RETREATING), (0.5, True, State.RETREATING),
+])  # fmt: skip
+def test_an_inspection_that_a_doubt_broke_off_goes_on_where_it_stood(explorer, at_root, moved_mm, withdraws, then):
+    """From somewhere else, as after withdrawing, it is the way in that comes first."""
+    seen = in_state(explorer, at_root, State.INSPECTING)
+    explorer.step(seen := later(seen, 0.1, position_sd_mm=4.0), HELD)
+    assert explorer.machine.state is State.LOOKING
+    if withdraws:
+        explorer.step(seen := later(seen, 2.5), HELD)
+        assert explorer.machine.state is State.WITHDRAWING
+    T = seen.T_kidney_camera.copy()
+    T[:3, 3] += [0.0, 0.0, moved_mm]
+    states = []
+    for _ in range(2 + withdraws):
+        explorer.step(seen := later(seen, 0.1, position_sd_mm=0.2, T_kidney_camera=T), HELD)
+        states.append(explorer.machine.state)
+    assert then in states and (then is not State.INSPECTING or State.RETREATING not in states), states

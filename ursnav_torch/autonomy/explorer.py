@@ -315,7 +315,9 @@ class Explorer:
 
     def _look_around(self, seen: Perception) -> None:
         """Begin to inspect from here, or go on with it."""
+        assert seen.T_kidney_camera is not None
         self._inspection.begin(seen)
+        self._inspected_from = seen.T_kidney_camera[:3, 3]
         self._to(State.INSPECTING, seen, f"looks at the wall of calyx {self.visits[self.target].calyx}")
 
     def _back_off(self, seen: Perception, reason: str) -> None:
