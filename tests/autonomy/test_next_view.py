@@ -50,6 +50,24 @@ def test_of_a_place_that_may_be_off_less_is_promised(planner, before):
     assert unsure is None or unsure.worth < sure.worth
 
 
+def test_a_view_says_what_wall_it_shows_and_wall_that_was_given_up_counts_for_none(planner, before):
+    plan = best(planner, before)
+    coverage = planner.coverage
+    assert (
+        coverage.share(CALYX, plan.patches) == pytest.approx(plan.gain)
+        and (coverage.patches.calyx[plan.patches] == CALYX).all()
+    )
+    found = list(planner.candidates(before, before.T_kidney_camera, CALYX, 0.0, plan.patches))[-1]
+    assert found is None or not {*found.patches} & {*plan.patches}
+
+
+def test_among_more_views_there_is_one_as_good_or_nearly(planner, before):
+    usual = list(planner.candidates(before, before.T_kidney_camera, CALYX, 0.0))
+    more = list(planner.candidates(before, before.T_kidney_camera, CALYX, 0.0, fine=True))
+    assert len(more) > 3 * len(usual) and more[-1].worth > 0.8 * usual[-1].worth
+    assert all(np.hypot(*p.bend_rad) <= planner.largest_bend_rad for p in more if p is not None)
+
+
 @pytest.mark.parametrize(("state", "stops"), [(THERE, True), (GONE, False)])
 def test_no_view_goes_on_into_a_stone_that_is_there(planner, at_root, state, stops):
     T, bend, size = at_root.T_kidney_camera, at_root.bend_rad, 3.0

@@ -1,5 +1,6 @@
 """The inspection of one calyx: next best views, one after another, until enough was seen or none shows more."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,6 +19,8 @@ _VIEWS_A_CYCLE = 2
 _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
 #: A place is sharp whose deviation is no more than this, mm at scale 1; for a sharper one it is waited no longer.
 _SHARP_MM, _WAIT_S = 0.35, 2.0
+#: Wall that so many views were to show and did not is given up.
+_VIEWS_IN_VAIN = 2
 
 
 class Inspection:
@@ -39,6 +42,7 @@ class Inspection:
     def reset(self) -> None:
         """Another calyx, or this one as if it had never been looked at."""
         self.lasted_s, self._at_s = 0.0, 0.0
+        self._in_vain: Counter[int] = Counter()  # views that were to show a patch and did not, by its number
         self._forget()
 
     def begin(self, seen: Perception) -> None:
@@ -56,7 +60,7 @@ class Inspection:
         self._best: ViewPlan | None = None
         self._view: ViewPlan | None = None
         self._view_s = self._held_s = 0.0  # since when it is gone to, and held
-        self._none_s = np.inf  # since when no view shows more
+        self._none_s, self._fine = np.inf, False  # since when no view shows more, and whether more are weighed
 
     def step(self, seen: Perception, T: Array, calyx: int, missing: float) -> Wish | None:
         """One cycle of control at a pose (4, 4), while so much of a calyx's wall is missing; None: nothing shows more.
@@ -68,18 +72,26 @@ class Inspection:
             return self._go_to(self._view, seen, T)
         if self._weighed is None:
             least = min(self._settings.least_gain, 0.5 * missing)  # near the end, two small steps are worth it, too
-            self._weighed, self._best = self._planner.candidates(seen, T, calyx, least), None
+            given_up = np.array([p for p, views in self._in_vain.items() if views >= _VIEWS_IN_VAIN], int)
+            self._weighed, self._best = self._planner.candidates(seen, T, calyx, least, given_up, self._fine), None
         for _ in range(_VIEWS_A_CYCLE):
             try:
                 self._best = next(self._weighed)
             except StopIteration:
                 self._weighed, self._view = None, self._best
                 self._view_s = self._held_s = seen.t_s
-                if self._view is not None:
-                    self._none_s = np.inf
-                    return Wish()
-                return Wish() if self._waits(seen) else None
+                return Wish() if self._goes_on(seen) else None
         return Wish()
+
+    def _goes_on(self, seen: Perception) -> bool:
+        """Whether there is a view, or may still be one: for a sharper place, or among more of them."""
+        if self._view is not None:
+            self._none_s, self._fine = np.inf, False
+            return True
+        if self._waits(seen):
+            return True
+        self._fine = not self._fine
+        return self._fine
 
     def _waits(self, seen: Perception) -> bool:
         """Whether no view shows more only as the place is not sharp, which it may still become."""
@@ -96,6 +108,7 @@ class Inspection:
             self._held_s = seen.t_s
         if seen.t_s - self._held_s > _HOLD_S or seen.t_s - self._view_s > _LONGEST_VIEW_S:
             self._view = None
+            self._in_vain.update(plan.patches[~self._planner.coverage.seen()[plan.patches]].tolist())
             return Wish()
         speed = float(np.clip(2.0 * push, -s.advance_mm_s, s.advance_mm_s)) * steering.sureness(seen)
         if push > 0:

@@ -16,10 +16,14 @@ from ursnav_torch.geometry import inverse
 from ursnav_torch.kinematics import Segment
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Bends away from the present one that are tried, in these directions, and advances along the curve, mm at scale 1.
 _BENDS_RAD, _DIRECTIONS = np.radians([20.0, 45.0, 70.0]), 6
 _ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
+#: And the bends of the tip, in so many directions, and advances that are tried where none of these shows more.
+_FINE_BENDS_RAD, _FINE_DIRECTIONS = np.radians(np.arange(15.0, 106.0, 15.0)), 8
+_FINE_ADVANCES_MM = (0.0, -1.5, -4.0, -7.0, 1.0, 2.5)
 #: Where a bend is cut off by a wall is looked for in so many steps.
 _SHARES = np.linspace(0.0, 1.0, 17)
 
@@ -33,12 +37,14 @@ class ViewPlan:
         insertion_mm: its insertion there.
         gain: part of the calyx's wall, of what the scope can see of it, that this view adds.
         worth: gain for the way that the tip makes to get there, 1/mm.
+        patches: (N,) those of the calyx that it shows and that were not seen, by their numbers.
     """
 
     bend_rad: Array
     insertion_mm: float
     gain: float
     worth: float
+    patches: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +67,15 @@ class ViewPlanner:
     largest_bend_rad: float
     time_mm: float
 
-    def candidates(self, seen: Perception, T: Array, calyx: int, least_gain: float) -> Iterator[ViewPlan | None]:
+    def candidates(
+        self,
+        seen: Perception,
+        T: Array,
+        calyx: int,
+        least_gain: float,
+        given_up: IntArray | None = None,
+        fine: bool = False,
+    ) -> Iterator[ViewPlan | None]:
         """Views from a pose (4, 4) one by one, as each costs a cast of rays.
 
         Args:
@@ -69,6 +83,8 @@ class ViewPlanner:
             T: the pose.
             calyx: index of the one that is inspected.
             least_gain: what adds less is no view to go to.
+            given_up: (M,) numbers of patches that count for nothing.
+            fine: try more views than the usual ones.
 
         Returns:
             The best view until now by gain for its way; None while there is none.
@@ -77,27 +93,31 @@ class ViewPlanner:
         area = self.coverage.patches.area_mm2
         unseen = own & ~self.coverage.seen()
         area = area / max(float(area[own].sum()), 1e-9)
+        if given_up is not None:
+            unseen[given_up] = False
         off_mm = seen.position_sd_mm or 0.0
         best: ViewPlan | None = None
-        for advance in (self.space.scale * mm for mm in _ADVANCES_MM):
+        for advance in (self.space.scale * mm for mm in (_FINE_ADVANCES_MM if fine else _ADVANCES_MM)):
             if seen.insertion_mm + advance < 0:
                 continue
-            for bend in self._bends(seen.bend_rad):
+            for bend in self._bends(seen.bend_rad, fine):
                 found = self._pose(T, seen.bend_rad, bend, advance)
                 if found is not None:
                     cost = self.time_mm + float(np.linalg.norm(found[:3, 3] - T[:3, 3]))
                     least = max(least_gain, 0.0 if best is None else best.worth * cost)
-                    gain = float(area[self.coverage.in_view(found, unseen)].sum())
-                    if gain > least and off_mm > 0:  # what is surely in view is asked only where it may matter
-                        gain = float(area[self.coverage.surely_in_view(found, off_mm, unseen)].sum())
+                    shown = self.coverage.in_view(found, unseen)
+                    if off_mm > 0 and area[shown].sum() > least:  # what is surely in view, where it may matter
+                        shown = self.coverage.surely_in_view(found, off_mm, unseen)
+                    gain = float(area[shown].sum())
                     if gain > least:
-                        best = ViewPlan(bend, seen.insertion_mm + advance, gain, gain / cost)
+                        best = ViewPlan(bend, seen.insertion_mm + advance, gain, gain / cost, shown)
                     yield best
 
-    def _bends(self, now: Array) -> list[Array]:
-        turns = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
-        away = [r * np.array([np.cos(t), np.sin(t)]) for r in _BENDS_RAD for t in turns]
-        bends = [np.asarray(now, float), *(now + a for a in away)]
+    def _bends(self, now: Array, fine: bool) -> list[Array]:
+        if fine:
+            bends = [np.zeros(2), *_around(_FINE_BENDS_RAD, _FINE_DIRECTIONS)]
+        else:
+            bends = [np.asarray(now, float), *(now + away for away in _around(_BENDS_RAD, _DIRECTIONS))]
         return [b for b in bends if np.hypot(*b) <= self.largest_bend_rad]
 
     def _pose(self, T: Array, bend_now: Array, bend: Array, advance_mm: float) -> Array | None:
@@ -115,3 +135,9 @@ class ViewPlanner:
         free = self.space.clearance_mm(swing) >= self.kept_mm
         found[:3, 3] = swing[max(int(free.argmin()) - 1, 0) if not free.all() else -1]
         return found
+
+
+def _around(radii: Array, directions: int) -> list[Array]:
+    """Bends (2,) of some sizes in so many directions, radians."""
+    turns = np.arange(directions) * 2 * np.pi / directions
+    return [r * np.array([np.cos(t), np.sin(t)]) for r in radii for t in turns]
