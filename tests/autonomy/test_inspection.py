@@ -92,18 +92,6 @@ def test_only_its_own_time_counts(begun, at_root) -> None:
     assert inspection.lasted_s == 0.0
 
 
-def test_where_the_place_is_not_sharp_it_waits_for_a_sharper_one_before_it_gives_up(begun, at_root) -> None:
-    inspection, T = begun(None), at_root.T_kidney_camera
-    seen, waited = later(at_root, 0.0, position_sd_mm=0.6), 0.0
-    while inspection.step(seen, T, 0, 0.5) is not None:
-        seen, waited = later(seen, 0.02), waited + 0.02
-    assert 2.0 < waited < 2.3
-    inspection, seen, waited = begun(None), later(at_root, 0.0, position_sd_mm=0.6), 0.0
-    while inspection.step(seen, T, 0, 0.5) is not None:
-        seen, waited = later(seen, 0.02, position_sd_mm=0.6 if waited < 0.5 else 0.3), waited + 0.02
-    assert 0.5 < waited < 0.8
-
-
 def test_a_view_is_held_for_as_long_as_pictures_count(begun, at_root) -> None:
     """A place surely known to no better than coverage asks for paints nothing, so that the view is held on."""
     inspection, T = begun(ViewPlan(at_root.bend_rad, at_root.insertion_mm, 0.2, 0.01, PATCHES)), at_root.T_kidney_camera

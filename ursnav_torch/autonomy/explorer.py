@@ -274,7 +274,7 @@ class Explorer:
             self._way = to
             self._begin(seen, T)
             return Wish()
-        return self._steering.retreat(seen, T, way)
+        return self._steering.retreat(seen, T, way, self._way_back.before(joints(seen.bend_rad, seen.insertion_mm)))
 
     def _way_at(self, place_mm: Array, to: Way) -> Way:
         """The way that a place (3,) lies on: ``to`` where more than one leads there."""

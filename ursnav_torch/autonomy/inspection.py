@@ -17,8 +17,6 @@ Array = NDArray[np.float64]
 _VIEWS_A_CYCLE = 2
 #: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
 _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
-#: A place is sharp whose deviation is no more than this, mm at scale 1; for a sharper one it is waited no longer.
-_SHARP_MM, _WAIT_S = 0.35, 2.0
 #: Wall that so many views were to show and did not is given up.
 _VIEWS_IN_VAIN = 2
 
@@ -60,12 +58,12 @@ class Inspection:
         self._best: ViewPlan | None = None
         self._view: ViewPlan | None = None
         self._view_s = self._held_s = 0.0  # since when it is gone to, and held
-        self._none_s, self._fine = np.inf, False  # since when no view shows more, and whether more are weighed
+        self._fine = False  # whether more views are weighed than the usual ones, of which none shows more
 
     def step(self, seen: Perception, T: Array, calyx: int, missing: float) -> Wish | None:
         """One cycle of control at a pose (4, 4), while so much of a calyx's wall is missing; None: nothing shows more.
 
-        Still while views are weighed, and for a while where no view would surely show more from a place not sharp.
+        Still while views are weighed; where none of the usual ones shows more, more of them are.
         """
         self.lasted_s, self._at_s = self.lasted_s + seen.t_s - self._at_s, seen.t_s
         if self._view is not None:
@@ -80,24 +78,13 @@ class Inspection:
             except StopIteration:
                 self._weighed, self._view = None, self._best
                 self._view_s = self._held_s = seen.t_s
-                return Wish() if self._goes_on(seen) else None
+                return Wish() if self._goes_on() else None
         return Wish()
 
-    def _goes_on(self, seen: Perception) -> bool:
-        """Whether there is a view, or may still be one: for a sharper place, or among more of them."""
-        if self._view is not None:
-            self._none_s, self._fine = np.inf, False
-            return True
-        if self._waits(seen):
-            return True
-        self._fine = not self._fine
-        return self._fine
-
-    def _waits(self, seen: Perception) -> bool:
-        """Whether no view shows more only as the place is not sharp, which it may still become."""
-        self._none_s = min(self._none_s, seen.t_s)
-        sharp = seen.position_sd_mm is None or seen.position_sd_mm <= _SHARP_MM * self._steering.space.scale
-        return not sharp and seen.t_s - self._none_s < _WAIT_S
+    def _goes_on(self) -> bool:
+        """Whether there is a view, or may still be one among more of them."""
+        self._fine = self._view is None and not self._fine
+        return self._fine or self._view is not None
 
     def _go_to(self, plan: ViewPlan, seen: Perception, T: Array) -> Wish:
         """Take up a view and hold it while pictures count."""

@@ -36,6 +36,8 @@ _TURNS, _LARGEST_TURN_RAD = 8, 0.5
 _SHARES = np.linspace(0.0, 1.0, 13)
 #: A tip bent otherwise by more than this than it was on the way in is not drawn back but bent; set, not varied.
 _BENT_RAD = 0.2
+#: A tip bent otherwise than on the way in is bent so while it is drawn back; by this or more, at this part of speed.
+_ASIDE_RAD, _PULLED = 1.0, 0.2
 #: How far the tip bends as it looks about: 25 degrees.
 _SWEEP_RAD = 0.44
 #: How far along the optical axis clearance is looked up, mm at scale 1.
@@ -117,8 +119,15 @@ class Steering:
         kept = self._kept_mm(way, at + _LOOK_MM * self.space.scale)
         return Wish(self.turn(seen, T, goal), speed * self.sureness(seen) * self.freedom(T, kept))
 
-    def retreat(self, seen: Perception, T: Array, way: Way) -> Wish:
-        """From a pose (4, 4) pull back along a way, and keep looking where it leads."""
+    def retreat(self, seen: Perception, T: Array, way: Way, to: Array | None = None) -> Wish:
+        """From a pose (4, 4) pull back along a way, bent as the scope was on the way in, at some joints (3,).
+
+        Without them keep looking where the way leads. To bend otherwise than on the way in is a way of the tip, too.
+        """
+        if to is not None:
+            bend = to[:2] - np.asarray(seen.bend_rad)
+            ready = max(_PULLED, 1 - float(np.hypot(*bend)) / _ASIDE_RAD)
+            return Wish(self.settings.turn_per_s * bend, -self.settings.retreat_mm_s * self.sureness(seen) * ready)
         goal = way.point_at(min(way.place_mm(T[:3, 3]) + self.settings.ahead_mm, way.length_mm))
         return Wish(self.turn(seen, T, goal), -self.settings.retreat_mm_s * self.sureness(seen))
 

@@ -47,6 +47,11 @@ class WayBack:
             self._passed.pop()
         return None
 
+    def before(self, here: Array) -> Array | None:
+        """The joints (3,) on the way in, drawn back a little from some others; None where none are known."""
+        drawn_back = [passed for passed in self._passed if passed[2] <= here[2] - self._step_mm / 2]
+        return drawn_back[-1] if drawn_back else None
+
     def apart_mm(self, one: Array, other: Array) -> float:
         """How far the tip goes, about, from some joints (3,) to others."""
         away = other - one
