@@ -178,3 +178,12 @@ def test_an_inspection_that_a_doubt_broke_off_goes_on_where_it_stood(explorer, a
         explorer.step(seen := later(seen, 0.1, position_sd_mm=0.2, T_kidney_camera=T), HELD)
         states.append(explorer.machine.state)
     assert then in states and (then is not State.INSPECTING or State.RETREATING not in states), states
+
+
+def test_it_retreats_bent_as_on_the_way_in(explorer, at_root):
+    seen = in_state(explorer, at_root, State.RETREATING)
+    for bend, insertion in ((0.4, seen.insertion_mm - 2.0), (0.9, seen.insertion_mm)):
+        explorer._way_back.add(np.array([bend, 0.0, insertion]))
+    wish = explorer.step(later(seen, 0.02, bend_rad=np.array([0.9, 0.0])), HELD)
+    assert explorer.machine.state is State.RETREATING and wish.insertion_mm_s < 0
+    assert wish.bend_rad_s == pytest.approx([-0.5 * explorer.settings.turn_per_s, 0.0])

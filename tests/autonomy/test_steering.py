@@ -115,6 +115,15 @@ def test_retreating_and_withdrawing_pull(phantom, steering):
     assert steering.withdraw(replace(SEEN, insertion_mm=9.0), np.array([0.0, 0.0, 8.0])).insertion_mm_s < 0
 
 
+def test_a_tip_that_retreats_is_bent_as_on_the_way_in_and_drawn_back_the_faster_the_nearer_it_is(phantom, steering):
+    way = Way(phantom, 0)
+    T, bend = on_the_way(way, 10.0), np.asarray(SEEN.bend_rad)
+    wishes = [steering.retreat(SEEN, T, way, np.array([bend[0] + aside, bend[1], 3.0])) for aside in (0.0, 0.5, 2.0)]
+    assert [w.bend_rad_s[0] for w in wishes] == pytest.approx([0.0, 0.5 * 1.5, 2.0 * 1.5])
+    assert [w.insertion_mm_s / wishes[0].insertion_mm_s for w in wishes] == pytest.approx([1.0, 0.5, 0.2])
+    assert wishes[0].insertion_mm_s == pytest.approx(-steering.settings.retreat_mm_s)
+
+
 def test_a_tip_that_withdraws_is_bent_as_it_was_before_the_shaft_is_drawn_back(steering):
     seen, to, bends = replace(SEEN, bend_rad=np.array([0.5, -0.2]), insertion_mm=9.0), np.array([-0.1, 0.3, 6.0]), []
     for _ in range(400):

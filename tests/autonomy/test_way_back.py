@@ -33,6 +33,13 @@ def test_it_leads_back_as_it_came(way_back):
     assert way_back.next(np.zeros(3)) is None, "and forgets what it was led through"
 
 
+def test_drawn_back_a_little_it_was_bent_as_on_the_way_in(way_back):
+    for passed in ([0.0, 0.0, 0.0], [0.2, 0.0, 4.0], [0.4, 0.1, 6.0], [1.0, 0.9, 6.2]):
+        way_back.add(np.array(passed))
+    assert way_back.before(np.array([1.0, 0.9, 6.2])).tolist() == [0.2, 0.0, 4.0], "not as it looked about there"
+    assert way_back.before(np.array([0.0, 0.0, 0.2])) is None
+
+
 def test_loops_and_what_was_drawn_back_are_no_part_of_it(way_back):
     for n in range(12):
         way_back.add(np.array([0.0, 0.0, float(n)]))
