@@ -63,6 +63,7 @@ def test_pictures_become_poses_rows_coverage_and_words(navigator, vid, renderer)
     assert len(rows) == 24 == navigator.located and navigator.results() == []
     last = rows[-1]
     assert last["calyx"] == vid.calyx_name(0) and last["accepted"]
+    assert last["position_sd_mm"] == pytest.approx(state.position_sd_mm, abs=1e-4) and 0 < last["direction_sd_deg"] < 20
     told = [json.loads(row["coverage"]) for row in rows if "coverage" in row]
     assert 0 < len(told) < len(rows) and all(a != b for a, b in itertools.pairwise(told)), "told when it changes"
     assert told[-1].keys() == {c.name for c in vid.kidney.calyces}

@@ -146,3 +146,26 @@ def test_the_session_report_tells_and_draws_the_verdicts_that_navigation_told(
     page = session_values(vid, Replay(tmp_path / "record", speed=0))
     assert [c["verdict"] for c in page["calyces"]] == ["inspected"] * 6 == [c.verdict for c in drawn]
     assert {"calyces inspected", "6 of 6 in reach"} <= {word for words in page["training"] for word in words.values()}
+
+
+@pytest.mark.parametrize(("sd_mm", "counts"), [(None, True), (0.3, True), (1.5, False)])
+def test_the_session_report_paints_wall_only_where_places_were_sure(
+    vid: Vid, picture: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sd_mm: float | None, counts: bool
+) -> None:
+    painted: list[bool] = []
+    row = {"state": "tracking", "accepted": True, "calyx": "A", "confidence": 1.0}
+    row |= pose_cells(vid.T_kidney_camera[3:4])[0]
+    row |= {} if sd_mm is None else {"position_sd_mm": sd_mm}
+    with Recorder(tmp_path / "record") as recorder:
+        for i in range(6):
+            stamp = Stamp(i, i / 5, i / 5)
+            recorder.write(Frame(stamp, picture))
+            recorder.write(Result(stamp, i, row | {"t_s": i / 5}))
+
+    def draw(coverage: Coverage, calyces: Sequence[CalyxCoverage] = ()) -> np.ndarray:
+        painted.append(bool(coverage.seen().any()))
+        return picture
+
+    monkeypatch.setattr("ursnav_torch.reports.session.draw_coverage", draw)
+    session_values(vid, Replay(tmp_path / "record", speed=0))
+    assert painted == [counts]

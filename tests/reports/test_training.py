@@ -40,8 +40,11 @@ class Painting:
     def __init__(self) -> None:
         self.added: list[float] = []
 
-    def add(self, T: np.ndarray, seconds: float) -> None:
+        self.sd_mm: list[float | None] = []
+
+    def add(self, T: np.ndarray, seconds: float, position_sd_mm: float | None = None) -> None:
         self.added.append(seconds)
+        self.sd_mm.append(position_sd_mm)
 
     def calyces(self) -> list[CalyxCoverage]:
         count = len(self.added)
@@ -59,6 +62,13 @@ def test_time_to_inspect_goes_from_first_sight_and_only_what_counts_is_painted()
     assert found.inspected_s == {"A": 5.0} and found.missed == ["B"], "from the second picture to the seventh"
     assert calyx_training(found, "A") == {"visits": 1, "inspected": "5.0 s"}
     assert calyx_training(found, "B") == {"visits": 0, "inspected": ""}
+
+
+def test_wall_counts_by_how_far_off_the_place_may_have_been() -> None:
+    painting, T = Painting(), np.repeat(np.eye(4)[None], 3, axis=0)
+    told = np.array([0.2, np.nan, 1.4])
+    training_figures(painting, np.arange(3.0), ["A"] * 3, T, np.full(3, 0.2), told)  # type: ignore[arg-type]
+    assert painting.sd_mm == [0.2, None, 1.4]
 
 
 def test_an_inspection_that_ends_between_two_looks_at_the_wall_is_counted() -> None:

@@ -51,7 +51,8 @@ class Inspection:
     def resume(self, seen: Perception) -> None:
         """Go on after a stop; the view that was gone to still is."""
         stood_s, self._at_s = seen.t_s - self._at_s, seen.t_s
-        self._view_s, self._held_s = self._view_s + stood_s, self._held_s + stood_s
+        self._view_s += stood_s
+        self._held_s += stood_s
 
     def _forget(self) -> None:
         self._weighed: Iterator[ViewPlan | None] | None = None

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ursnav_torch.camera import PictureCut
+from ursnav_torch.columns import SURE_COLUMNS
 from ursnav_torch.devices import SILENT_S, Frame, Note, RobotSample, Stamper, TrackerSample
 from ursnav_torch.devices.robots.safety import STOPPED
 from ursnav_torch.errors import InputError, UrsnavError
@@ -419,6 +420,8 @@ def _row(job: _Job, tracked: Tracked, calyces: tuple[str, ...], latency: Latency
     if tracked.T_kidney_camera is not None:
         row |= {k: float(v) for k, v in pose_cells(tracked.T_kidney_camera[None])[0].items()}
         row |= {"calyces": "|".join(calyces)}
+    if tracked.certainty is not None:
+        row |= {k: round(float(getattr(tracked.certainty, k)), 4) for k in SURE_COLUMNS[1:]}
     if tracked.state == TRACKING:
         calyx = "" if calyces[0] == NO_CALYX else calyces[0]
         row |= {"calyx": calyx, "confidence": float(tracked.confidence), "accepted": _believed(tracked) is not None}

@@ -57,6 +57,7 @@ class SessionFigures:
         frame: (N,) its number.
         T_kidney_camera: (M, 4, 4) where the track was believed; ``believed`` (N,) says for which pictures.
         settled: (M,) whether the picture could be of one calyx alone.
+        position_sd_mm: (M,) how far off the place may be, NaN where the record does not say.
         calyx: (M,) the calyx in it, blank for none.
         time_in_s: by calyx, and blank for none.
         best: by calyx the number of the picture that shows it surest and from near.
@@ -70,6 +71,7 @@ class SessionFigures:
     believed: NDArray[np.bool_]
     T_kidney_camera: Array
     settled: NDArray[np.bool_]
+    position_sd_mm: Array
     calyx: list[str]
     time_in_s: dict[str, float] = field(default_factory=dict)
     best: dict[str, int] = field(default_factory=dict)
@@ -88,8 +90,9 @@ def session_figures(replay: Replay, kidney: Kidney) -> SessionFigures:
     believed = np.array([bool(row["accepted"]) for _, row in rows], bool)
     T = _poses([row for _, row in rows if row["accepted"]])
     settled = np.array(["|" not in str(row.get("calyces", "")) for _, row in rows if row["accepted"]], bool)
+    sd = np.array([row.get("position_sd_mm", np.nan) for _, row in rows if row["accepted"]], float)
     calyx = [str(row["calyx"] or "") for _, row in rows if row["accepted"]]
-    found = SessionFigures(t, frame, believed, T, settled, calyx)
+    found = SessionFigures(t, frame, believed, T, settled, sd, calyx)
     lasted = np.minimum(np.diff(t, append=t[-1:]), LONGEST_GAP_S)
     surest: dict[str, float] = {}
     tips = {c.name: c.tip_mm for c in kidney.calyces}
@@ -151,7 +154,8 @@ def session_values(vid: Vid, replay: Replay, prefix: str = "t") -> dict[str, Any
     coverage = Coverage(vid.kidney, vid.camera, vid.lumen, vid.T_kidney_camera[::4])
     passed = np.diff(figures.t_s, prepend=figures.t_s[:1])[figures.believed]
     counts = np.where(figures.settled[:, None, None], figures.T_kidney_camera, np.nan)
-    training = training_figures(coverage, figures.t_s[figures.believed], figures.calyx, counts, passed)
+    t_s, sd = figures.t_s[figures.believed], figures.position_sd_mm
+    training = training_figures(coverage, t_s, figures.calyx, counts, passed, sd)
     training = as_told(training, _told_coverage(replay))
     details = _details(figures, training, replay)
     stretches, pictures = session_stretches(replay), film(replay, prefix)

@@ -41,7 +41,12 @@ class TrainingFigures:
 
 
 def training_figures(
-    coverage: Coverage, t_s: Array, names: Sequence[str], T_kidney_camera: Array, seconds: Array
+    coverage: Coverage,
+    t_s: Array,
+    names: Sequence[str],
+    T_kidney_camera: Array,
+    seconds: Array,
+    position_sd_mm: Array | None = None,
 ) -> TrainingFigures:
     """The figures of a session; paints what was seen into ``coverage`` as the session went on.
 
@@ -51,12 +56,14 @@ def training_figures(
         names: (N,) the calyx in it; blank for none.
         T_kidney_camera: (N, 4, 4) from where; NaN where the wall seen does not count.
         seconds: (N,) since the picture before.
+        position_sd_mm: (N,) how far off the place may be, NaN where nobody said; nobody did anywhere without it.
     """
+    sds = np.full(len(t_s), np.nan) if position_sd_mm is None else position_sd_mm
     first: dict[str, float] = {}
     found, due = TrainingFigures(count_visits(t_s, names)), -np.inf
-    for t, T, passed in zip(t_s, T_kidney_camera, seconds, strict=True):
+    for t, T, passed, sd in zip(t_s, T_kidney_camera, seconds, sds, strict=True):
         if np.isfinite(T).all():
-            coverage.add(T, float(passed))
+            coverage.add(T, float(passed), position_sd_mm=float(sd) if np.isfinite(sd) else None)
         if t < due:
             continue
         due = t + _EVERY_S
