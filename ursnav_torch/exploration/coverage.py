@@ -1,6 +1,6 @@
 """Which calyces were seen, and how much of each: the wall painted patch by patch from the scope's poses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -122,6 +122,7 @@ class Coverage:
     Attributes:
         settings: as given.
         of_kidney: the same, lengths in mm of this kidney.
+        rules_out: says of a pose (4, 4) that the scope cannot be there; such a picture does not count. None: of none.
     """
 
     def __init__(
@@ -140,6 +141,7 @@ class Coverage:
         self._shown = self._lens_shows = None if camera.mask is None else camera.pixel_rays()[1]
         self.seen_s = np.zeros(len(self.patches.area_mm2))
         self.in_reach = np.ones(len(self.seen_s), bool)
+        self.rules_out: Callable[[Array], bool] | None = None
         if T_reachable is not None:
             self.in_reach[:] = False
             for T in T_reachable:
@@ -166,6 +168,8 @@ class Coverage:
                 and none where it may be off by more than `CoverageSettings.largest_sd_mm`. None where it is known.
         """
         if position_sd_mm is not None and not position_sd_mm <= self.of_kidney.largest_sd_mm:
+            return
+        if self.rules_out is not None and self.rules_out(T_kidney_camera):
             return
         seen = self.surely_in_view(T_kidney_camera, position_sd_mm or 0.0, ~self.seen())
         if bodies and len(seen):
