@@ -11,6 +11,7 @@ from ursnav_torch.autonomy.neck import find_neck, find_stone
 from ursnav_torch.autonomy.steering import Way
 from ursnav_torch.exploration import ScopeLimits
 from ursnav_torch.exploration.coverage import Coverage
+from ursnav_torch.geometry import look_along
 from ursnav_torch.stones import GONE, THERE, FoundStone
 
 CALYX = 3
@@ -153,3 +154,19 @@ def test_a_stone_that_is_gone_bars_the_way_no_more(explorer, at_root):
     assert explorer._bars[CALYX] is not None
     explorer.step(later(at_root, 0.2, stones=(replace(stone, state=GONE),)), HELD)
     assert explorer._bars[CALYX] is None
+
+
+def test_wall_seen_from_past_a_stone_in_the_way_does_not_count(explorer, at_root):
+    """The scope cannot be there: it is the place that is wrong. Once the stone is gone, it may."""
+    way, coverage = explorer._ways[CALYX], explorer.coverage
+    stone = stone_at(way.point_at(way.length_mm - 9.0), 2 * way.radius_at(way.length_mm - 9.0) + 0.4)
+    explorer.step(later(at_root, 0.1, stones=(stone,)), HELD)
+    end = explorer._bars[CALYX].end_mm
+    for at, counts in ((end - 1.0, True), (end + 1.5, True), (end + 3.5, False)):
+        coverage.seen_s[:] = 0
+        T = look_along(way.point_at(at), way.point_at(at + 2.0) - way.point_at(at))
+        assert explorer.is_past_a_bar(T) is not counts
+        coverage.add(T, 0.1)
+        assert coverage.seen_s.any() == counts, at
+    explorer.step(later(at_root, 0.2, stones=(replace(stone, state=GONE),)), HELD)
+    assert not explorer.is_past_a_bar(T)

@@ -133,11 +133,12 @@ class Explorer:
     def _find_bars(self, stones: tuple[FoundStone, ...]) -> None:
         """Find what bars the ways, necks and stones, and where the tour ends before it."""
         self._space.stones, limits = stones, scaled(self._limits, self._unit)
-        self._bars: list[Bar | None] = []
+        bars: list[Bar | None] = []
         for way in self._ways:
             met = (find_neck(way, limits, self._unit), find_stone(way, stones, limits, self._unit))
-            self._bars.append(min((bar for bar in met if bar), key=lambda bar: bar.end_mm, default=None))
-        ends = [np.inf if bar is None else bar.end_mm for bar in self._bars]
+            bars.append(min((bar for bar in met if bar), key=lambda bar: bar.end_mm, default=None))
+        self._bars = bars  # whole: who paints asks for them from another thread
+        ends = [np.inf if bar is None else bar.end_mm for bar in bars]
         self._tour = Tour(self.kidney, self.settings.standoff_mm, ends)
 
     def is_past_a_bar(self, T_kidney_camera: Array) -> bool:
