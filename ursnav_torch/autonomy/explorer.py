@@ -36,7 +36,7 @@ _OUT_MM = 0.2
 _SWEEP_S = 6.0
 #: An inspection that a doubt broke off goes on where the tip is within so far of where it was, mm at scale 1.
 _SAME_PLACE_MM = 2.0
-#: Past what bars a way by more than this the scope cannot be, mm at scale 1: its place is wrong.
+#: Past a stone that bars a way by more than this the scope cannot be, mm at scale 1: its place is wrong.
 _PAST_MM = 2.0
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
 _DEEPER_MM = 1.0
@@ -79,7 +79,7 @@ class Explorer:
         self.visits = [Visit(c.name) for c in self.kidney.calyces]
         self._ways = [Way(self.kidney, c) for c in range(len(self.visits))]
         self._find_bars(())
-        coverage.rules_out = self.is_past_a_bar
+        coverage.rules_out = self.is_past_a_stone
         self._way: Way | None = None  # along which the scope came; None where somebody else led it in
         self._way_back, self._lost_at = WayBack(segment, self._unit), np.zeros(3)
         self._room_mm = s.room_mm
@@ -141,12 +141,12 @@ class Explorer:
         ends = [np.inf if bar is None else bar.end_mm for bar in bars]
         self._tour = Tour(self.kidney, self.settings.standoff_mm, ends)
 
-    def is_past_a_bar(self, T_kidney_camera: Array) -> bool:
-        """Whether a pose (4, 4) lies where the scope cannot be: past a neck or a stone that it does not get past."""
+    def is_past_a_stone(self, T_kidney_camera: Array) -> bool:
+        """Whether a pose (4, 4) lies where the scope cannot be: past a stone that it does not get past."""
         place = T_kidney_camera[:3, 3]
         way = min(self._ways, key=lambda way: way.away_mm(place))
         bar = self._bars[way.calyx]
-        return bar is not None and way.place_mm(place) > bar.end_mm + _PAST_MM * self._unit
+        return isinstance(bar, StoneInTheWay) and way.place_mm(place) > bar.end_mm + _PAST_MM * self._unit
 
     def _to(self, state: State, seen: Perception, reason: str) -> None:
         self.machine.to(state, seen.t_s, reason)
