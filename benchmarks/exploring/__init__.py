@@ -14,10 +14,11 @@ halves; results are kept in ``work`` for each phantom and setting, and the next 
 names what an operation does besides, of breathing, swelling, bleeding and buckling (see `TissueSettings`). What a scope
 can see is what ``views`` a calyx see, and ``around`` times as many that look any way.
 
-Of twelve phantoms explored by the tracker's places one calyx was called inspected that was not (``flights_49``, E).
+Of twelve phantoms explored by the tracker's places one calyx was once called inspected and was not (``flights_49``, E).
 Looked at picture by picture, by no command: of 1,074 poses 63 were more than 3 mm off, 47 of them while the scope stood
 12 to 13 mm before the tip of E, where a stone bars the way; 42 of these were told more than 3 mm too deep, 25 nearer to
-the tip than the stone's center, with deviations of 1.0 to 2.6 mm.
+the tip than the stone's center, with deviations of 1.0 to 2.6 mm. Since then a picture counts only where its place is
+sure to `CoverageSettings.largest_sd_mm`, and from no place past a stone in the way.
 """
 
 import hashlib
