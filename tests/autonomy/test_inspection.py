@@ -43,6 +43,16 @@ def begun(explorer, at_root):
     return begin
 
 
+@pytest.fixture
+def on_its_way(begun, at_root):
+    """An inspection on its way to a view, what it was told last, and the pose (4, 4)."""
+    inspection = begun(ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01, PATCHES))
+    seen, T = at_root, at_root.T_kidney_camera
+    while inspection.step(seen, T, 0, 0.5).is_still:
+        seen = later(seen, 0.02)
+    return inspection, seen, T
+
+
 def test_it_stands_while_views_are_weighed_goes_to_the_best_holds_it_and_weighs_anew(begun, at_root) -> None:
     there = ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01, PATCHES)
     inspection, T, seen = begun(there), at_root.T_kidney_camera, at_root
@@ -68,14 +78,8 @@ def test_where_no_view_shows_more_it_says_so(begun, at_root) -> None:
     assert inspection._planner.fine == [False, True], "more views are weighed before it gives up"
 
 
-def test_a_view_that_cannot_be_reached_is_left_after_a_while(begun, at_root) -> None:
-    inspection, T = (
-        begun(ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01, PATCHES)),
-        at_root.T_kidney_camera,
-    )
-    seen = at_root
-    while inspection.step(seen, T, 0, 0.5).is_still:
-        seen = later(seen, 0.02)
+def test_a_view_that_cannot_be_reached_is_left_after_a_while(on_its_way) -> None:
+    inspection, seen, T = on_its_way
     assert not inspection.step(later(seen, 3.9), T, 0, 0.5).is_still
     assert inspection.step(later(seen, 4.2), T, 0, 0.5).is_still
 
@@ -106,15 +110,9 @@ def test_a_view_is_held_for_as_long_as_pictures_count(begun, at_root) -> None:
     assert inspection._view is None
 
 
-def test_a_view_is_gone_to_on_after_a_stop(begun, at_root) -> None:
+def test_a_view_is_gone_to_on_after_a_stop(on_its_way) -> None:
     """Ten seconds of standing in doubt are no part of the time that a view may take."""
-    inspection, T = (
-        begun(ViewPlan(at_root.bend_rad + 0.3, at_root.insertion_mm, 0.2, 0.01, PATCHES)),
-        at_root.T_kidney_camera,
-    )
-    seen = at_root
-    while inspection.step(seen, T, 0, 0.5).is_still:
-        seen = later(seen, 0.02)
+    inspection, seen, T = on_its_way
     inspection.resume(seen := later(seen, 10.0))
     assert not inspection.step(later(seen, 3.9), T, 0, 0.5).is_still
     assert inspection.lasted_s < 5.0 and len(inspection._planner.least) == 1

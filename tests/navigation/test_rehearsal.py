@@ -38,6 +38,7 @@ def test_a_calyx_is_inspected_without_forcing_the_wall(make):
     visits = rehearsed.explorer.visits
     assert [v.calyx for v in visits if v.verdict == "inspected"], [v.text() for v in visits]
     assert not [v for v in visits if v.verdict == "not reached"]
+    assert sum(found.ways_mm().values()) == pytest.approx(found.path_mm) and found.ways_mm()["approaching"] > 5.0
     assert found.disarmed == 0 and not found.faults and max(found.pressed_mm) < 0.5
 
 

@@ -3,6 +3,7 @@ import re
 from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -125,6 +126,15 @@ def test_edges_are_strokes_along_the_edge() -> None:
     assert np.ptp(x) in (6, 7) and np.ptp(y) <= 2 and abs(x.mean() - 30) < 1 and not blank.any()
 
 
+def record(folder: Path, picture: np.ndarray, row: dict[str, Any], count: int, apart_s: float) -> None:
+    """A session of so many pictures (h, w), so far apart, that were all answered alike."""
+    with Recorder(folder) as recorder:
+        for i in range(count):
+            stamp = Stamp(i, i * apart_s, i * apart_s)
+            recorder.write(Frame(stamp, picture))
+            recorder.write(Result(stamp, i, row | {"t_s": i * apart_s}))
+
+
 def test_the_session_report_tells_and_draws_the_verdicts_that_navigation_told(
     vid: Vid, picture: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,11 +142,7 @@ def test_the_session_report_tells_and_draws_the_verdicts_that_navigation_told(
     told, drawn = json.dumps({c.name: ["inspected", 0.9] for c in vid.kidney.calyces}), list[CalyxCoverage]()
     row = {"state": "tracking", "accepted": True, "calyx": "A", "confidence": 1.0, "coverage": told}
     row |= pose_cells(vid.T_kidney_camera[3:4])[0]
-    with Recorder(tmp_path / "record") as recorder:
-        for i in range(3):
-            stamp = Stamp(i, i / 10, i / 10)
-            recorder.write(Frame(stamp, picture))
-            recorder.write(Result(stamp, i, row | {"t_s": i / 10}))
+    record(tmp_path / "record", picture, row, 3, 0.1)
 
     def draw(coverage: Coverage, calyces: Sequence[CalyxCoverage] = ()) -> np.ndarray:
         drawn.extend(calyces)
@@ -156,11 +162,7 @@ def test_the_session_report_paints_wall_only_where_places_were_sure(
     row = {"state": "tracking", "accepted": True, "calyx": "A", "confidence": 1.0}
     row |= pose_cells(vid.T_kidney_camera[3:4])[0]
     row |= {} if sd_mm is None else {"position_sd_mm": sd_mm}
-    with Recorder(tmp_path / "record") as recorder:
-        for i in range(6):
-            stamp = Stamp(i, i / 5, i / 5)
-            recorder.write(Frame(stamp, picture))
-            recorder.write(Result(stamp, i, row | {"t_s": i / 5}))
+    record(tmp_path / "record", picture, row, 6, 0.2)
 
     def draw(coverage: Coverage, calyces: Sequence[CalyxCoverage] = ()) -> np.ndarray:
         painted.append(bool(coverage.seen().any()))

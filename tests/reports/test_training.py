@@ -39,7 +39,6 @@ class Painting:
 
     def __init__(self) -> None:
         self.added: list[float] = []
-
         self.sd_mm: list[float | None] = []
 
     def add(self, T: np.ndarray, seconds: float, position_sd_mm: float | None = None) -> None:

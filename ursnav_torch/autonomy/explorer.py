@@ -36,7 +36,8 @@ _OUT_MM = 0.2
 _SWEEP_S = 6.0
 #: An inspection that a doubt broke off goes on where the tip is within so far of where it was, mm at scale 1.
 _SAME_PLACE_MM = 2.0
-#: Past a stone that bars a way by more than this the scope cannot be, mm at scale 1: its place is wrong.
+#: Past a stone that bars a way by more than this the scope cannot be, mm at scale 1: its place is wrong. Both set, not
+#: varied.
 _PAST_MM = 2.0
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
 _DEEPER_MM = 1.0
@@ -46,7 +47,8 @@ class Explorer:
     """Visits every calyx of a kidney that can be reached, and keeps an account of it.
 
     Args:
-        coverage: what was seen so far; painted by somebody else. Its kidney is the one explored.
+        coverage: what was seen so far; painted by somebody else. Its kidney is the one explored, and from now on no
+            picture counts from past a stone in the way.
         lumen: distances and walls.
         settings, limits: how carefully, and what the scope can do; mm at scale 1.
         segment: the scope's bending tip.
@@ -267,8 +269,9 @@ class Explorer:
         Those behind necks are looked into, however little of their wall shows: a stone may lie there.
         """
         for calyx, (visit, bar) in enumerate(zip(self.visits, self._bars, strict=True)):
-            stone = isinstance(bar, StoneInTheWay)
-            if bar is not None and stone and visit.verdict == OPEN and self._shown(calyx, bar) < self._least[0]:
+            if not isinstance(bar, StoneInTheWay) or visit.verdict != OPEN:
+                continue
+            if self._shown(calyx, bar) < self._least[0]:
                 self.leave_out(calyx, bar.reason(visit.calyx))
 
     def _shown(self, calyx: int, bar: Bar) -> float:

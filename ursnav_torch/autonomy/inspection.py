@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _VIEWS_A_CYCLE = 2
 #: A view is reached within this much bend and insertion, mm at scale 1; held so long; left alone after the longest.
 _THERE_RAD, _THERE_MM, _HOLD_S, _LONGEST_VIEW_S = 0.06, 0.3, 0.45, 4.0
-#: Wall that so many views were to show and did not is given up.
+#: Wall that so many views were to show and did not is given up; set, not varied.
 _VIEWS_IN_VAIN = 2
 
 

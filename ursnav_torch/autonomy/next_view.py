@@ -24,7 +24,8 @@ _ADVANCES_MM = (0.0, -2.5, 1.5, -5.0)
 #: And the bends of the tip, in so many directions, and advances that are tried where none of these shows more.
 _FINE_BENDS_RAD, _FINE_DIRECTIONS = np.radians(np.arange(15.0, 106.0, 15.0)), 8
 _FINE_ADVANCES_MM = (0.0, -1.5, -4.0, -7.0, 1.0, 2.5)
-#: Views are planned for pictures whose place is off by no more than this, mm at scale 1, as they may be once it stands.
+#: Views are planned for pictures whose place is off by no more than this, mm at scale 1, as they may be once it stands;
+#: set, not varied, as the views.
 _SHARP_MM = 0.35
 #: Where a bend is cut off by a wall is looked for in so many steps.
 _SHARES = np.linspace(0.0, 1.0, 17)

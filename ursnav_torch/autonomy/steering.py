@@ -37,6 +37,7 @@ _SHARES = np.linspace(0.0, 1.0, 13)
 #: A tip bent otherwise by more than this than it was on the way in is not drawn back but bent; set, not varied.
 _BENT_RAD = 0.2
 #: A tip bent otherwise than on the way in is bent so while it is drawn back; by this or more, at this part of speed.
+#: Set, not varied.
 _ASIDE_RAD, _PULLED = 1.0, 0.2
 #: How far the tip bends as it looks about: 25 degrees.
 _SWEEP_RAD = 0.44
