@@ -114,3 +114,12 @@ def test_without_coasting_a_leap_is_made_at_once() -> None:
     course = Course(replace(settings, challenger=replace(settings.challenger, coast_s=0.0)))
     course.follow(HERE, 0.9, 0.0, None, (HERE,))
     assert follow(course, 0.1, 0.6) == (True, True)
+
+
+def test_where_no_robot_can_have_brought_it_a_track_does_not_go_however_long() -> None:
+    course = settled()
+    for n in range(40):
+        T, leapt = course.follow(FAR, 0.9, 1.1 + n / 10, None, (HERE,), reached=False)
+        assert np.linalg.norm(T[:3, 3]) < 1.0 and not leapt and course.coasts
+    T, leapt = course.follow(FAR, 0.9, 5.2, None, (HERE, FAR), reached=False)
+    assert np.linalg.norm(T[:3, 3] - FAR[:3, 3]) < 1.0 and not course.coasts  # where its shaft's way leads it goes

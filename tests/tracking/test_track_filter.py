@@ -17,6 +17,7 @@ from ursnav_torch.tracking.follow import Instruments, Moment, Source, follow_sou
 from ursnav_torch.tracking.motion import Hypotheses, Since
 from ursnav_torch.tracking.pursuit import expected
 from ursnav_torch.tracking.robot.odometry import OdometryReading
+from ursnav_torch.tracking.robot.tether import TetherSettings
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, OwnKidneySettings, TrackSettings
 from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
@@ -210,11 +211,10 @@ def test_a_place_where_the_scope_was_not_driven_is_believed_by_its_own_evidence_
 ) -> None:
     """Pictures of another calyx while the robot says that nothing moved: where they fit badly the track starts anew."""
     late = OwnKidneySettings(after_leap=-2.5)  # so that it takes more than two pictures
-    tracker = Tracker(
-        vid, TrackSettings(challenger=ChallengerSettings(challenge_below=well, coast_s=0.0), own_kidney=late)
-    )
+    at_once, loose = ChallengerSettings(challenge_below=well, coast_s=0.0), TetherSettings(reach_mm=1e3)
+    tracker = Tracker(vid, TrackSettings(challenger=at_once, own_kidney=late, tether=loose))
     way = flight(phantom, 2)
-    for i, T in enumerate([*way, *[way[-1]] * 5]):  # at its end it is settled
+    for i, T in enumerate([*way, *[way[-1]] * 12]):  # at its end it is settled
         inserted = OdometryReading(0.8 * min(i, len(way) - 1))
         settled = tracker.step(renderer.render(T).image, i / 10, odometry=inserted if told else None)
     assert settled.state == TRACKING

@@ -10,10 +10,15 @@ from ursnav_torch.kidney import Kidney
 from ursnav_torch.rendering import RaycastRenderer
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.tracking.certainty import track_weights
+from ursnav_torch.tracking.relocalization import RelocalizationSettings, Relocated
 from ursnav_torch.tracking.robot.odometry import OdometryReading
+from ursnav_torch.tracking.robot.tether import TetherSettings
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
 from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid
+
+#: Binds nobody.
+LOOSE = TetherSettings(reach_mm=1e3)
 
 
 def told_of(tracker: Tracker, renderer: RaycastRenderer, poses: np.ndarray, mm: float | None = 0.8) -> list[Tracked]:
@@ -64,7 +69,7 @@ def test_a_track_coasts_on_the_robots_word_past_pictures_of_where_it_was_not_dri
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer
 ) -> None:
     """Pictures show another place while the robot stands: for a second that is no place; then it is the track's."""
-    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0))
+    wary = TrackSettings(challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0), tether=LOOSE)
     tracker, way, far = Tracker(vid, wary), flight(phantom, 2), flight(phantom, 5)[-1]
     pictures = [renderer.render(T).image for T in [*way, *[way[-1]] * 5, *[far] * 20]]
     told = [OdometryReading(0.8 * min(i, len(way) - 1)) for i in range(len(pictures))]
@@ -83,7 +88,7 @@ def test_pictures_that_are_coasted_past_teach_nothing(
     vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wary = TrackSettings(
-        challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0), filter=FilterSettings(every_s=0.0)
+        challenger=ChallengerSettings(coast_below=1.1, persist_s=9.0), filter=FilterSettings(every_s=0.0), tether=LOOSE
     )
     tracker, way, taught = Tracker(vid, wary), flight(phantom, 2), []
     told_of(tracker, renderer, way)
@@ -117,3 +122,43 @@ def test_what_fits_well_or_is_only_turned_is_believed_at_once(
 def near(T: np.ndarray, other: np.ndarray) -> bool:
     """Whether two poses (4, 4) are one place."""
     return bool(are_near(T[None], other, 2.0, 20.0)[0])
+
+
+@pytest.mark.parametrize("robot", [True, False])
+def test_to_where_its_robot_did_not_bring_it_a_track_goes_only_once_good_pictures_insist(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, robot: bool
+) -> None:
+    """Pictures of a far calyx, each of which alone is aligned, and located as a still, without a doubt."""
+    here, far = (flight(phantom, calyx)[-1] for calyx in (2, 5))
+    tracker = Tracker(vid, TrackSettings(filter=FilterSettings(every_s=0.0)))
+    joints = OdometryReading(5.0) if robot else None
+    for n in range(5):
+        tracker.step(renderer.render(here).image, n / 2, odometry=joints)
+    assert tracker._tether.binds is robot
+    goes_s: list[float] = []
+    image = renderer.render(far).image
+    for n in range(5, 14):
+        answer = tracker.step(image, n / 2, odometry=joints)
+        T = answer.T_kidney_camera
+        if T is not None and near(T, far) and answer.state == TRACKING:
+            goes_s.append((n - 5) / 2)
+    release_s = tracker.settings.tether.release_s
+    assert goes_s and (goes_s[0] >= release_s if robot else goes_s[0] < release_s)
+
+
+def test_a_still_found_out_of_reach_of_the_robot_counts_for_nothing(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = TrackSettings(relocalization=RelocalizationSettings(above_mm=0.01))
+    here, far = (flight(phantom, calyx)[-1] for calyx in (2, 5))
+    for robot in (True, False):
+        tracker, joints = Tracker(vid, settings), OdometryReading(5.0) if robot else None
+        relocalizer = tracker._relocalizer
+        assert relocalizer is not None
+        monkeypatch.setattr(relocalizer, "locate", lambda image, seen: None)
+        for n in range(4):
+            tracker.step(renderer.render(here).image, n / 4, odometry=joints)
+        monkeypatch.setattr(relocalizer, "locate", lambda image, seen: Relocated(far, 1e-3))
+        answer = tracker.step(renderer.render(here).image, 2.0, odometry=joints)
+        assert answer.evidence is None or answer.evidence.relocated is not robot
+        assert answer.T_kidney_camera is not None and near(answer.T_kidney_camera, here) is robot

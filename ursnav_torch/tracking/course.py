@@ -51,7 +51,13 @@ class Course:
         return self._smooth.predict(t_s, carried)
 
     def follow(
-        self, T: Array, score: float, t_s: float, sensor: SensorReading | None, told: tuple[Array, ...]
+        self,
+        T: Array,
+        score: float,
+        t_s: float,
+        sensor: SensorReading | None,
+        told: tuple[Array, ...],
+        reached: bool = True,
     ) -> tuple[Array, bool]:
         """The smoothed pose (4, 4) after an alignment, and whether it leapt to where the scope was not driven.
 
@@ -64,12 +70,14 @@ class Course:
             t_s: when the picture was taken.
             sensor: the EM reading, if there is one.
             told: see `Weighed`; empty where no robot told.
+            reached: whether the robot can have brought the scope there, see `Tether`; else the track coasts, too.
         """
         expected, leapt = self._smooth.predict(t_s), False
         if expected is not None and not self._near(expected[None], T)[0]:
             s = self._settings.challenger
             foreseen = not told or bool(self._near(np.array(told), T).any())
-            if not foreseen and self._goes_on_coasting(expected, T, score, t_s):
+            if not foreseen and (not reached or self._goes_on_coasting(expected, T, score, t_s)):
+                self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
                 return self._measured(expected, sensor), False
             if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected, False

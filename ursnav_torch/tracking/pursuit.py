@@ -16,6 +16,7 @@ from ursnav_torch.kidney import LumenDistance
 from ursnav_torch.search.pose_mean import are_near
 from ursnav_torch.tracking.filter import place
 from ursnav_torch.tracking.motion import Hypotheses, Since
+from ursnav_torch.tracking.robot.tether import Tether
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings
 
@@ -68,9 +69,13 @@ class _Lead:
 
 
 def expected(
-    since: Since | None, sensor: SensorReading | None, settings: ChallengerSettings, lumen: LumenDistance
+    since: Since | None,
+    sensor: SensorReading | None,
+    settings: ChallengerSettings,
+    lumen: LumenDistance,
+    tether: Tether | None = None,
 ) -> Prior:
-    """What motion since the picture before, and the sensor, say of poses, in units of the alignment's score."""
+    """What motion since the picture before, sensor and robot say of poses, in units of the alignment's score."""
 
     def prior(T: Array) -> Array:
         log = np.zeros(len(T))
@@ -79,7 +84,7 @@ def expected(
             log = np.maximum(log - log.max(), -settings.score_step / settings.prior_weight)
         if sensor is not None:
             log = log + sensor.log_probability(T)
-        return settings.prior_weight * log
+        return settings.prior_weight * log - (0.0 if tether is None else tether.against(T))
 
     return prior
 

@@ -8,6 +8,7 @@ from ursnav_torch.tracking.certainty import TrackCertaintySettings
 from ursnav_torch.tracking.motion import MotionSettings
 from ursnav_torch.tracking.relocalization import RelocalizationSettings
 from ursnav_torch.tracking.robot.odometry import OdometrySettings
+from ursnav_torch.tracking.robot.tether import TetherSettings
 from ursnav_torch.tracking.smooth import SmoothSettings
 
 
@@ -214,4 +215,5 @@ class TrackSettings:
     smoothing: SmoothSettings = field(default_factory=SmoothSettings)
     certainty: TrackCertaintySettings = field(default_factory=TrackCertaintySettings)
     odometry: OdometrySettings = field(default_factory=OdometrySettings)
+    tether: TetherSettings = field(default_factory=TetherSettings)
     relocalization: RelocalizationSettings = field(default_factory=RelocalizationSettings)

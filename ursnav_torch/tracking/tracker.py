@@ -34,6 +34,7 @@ from ursnav_torch.tracking.reading import TrackReader
 from ursnav_torch.tracking.relocalization import Relocalizer, Relocated
 from ursnav_torch.tracking.robot.dead_reckoning import DeadReckoning
 from ursnav_torch.tracking.robot.odometry import OdometryReading
+from ursnav_torch.tracking.robot.tether import Tether
 from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, TrackSettings
 from ursnav_torch.vid import Vid
@@ -136,6 +137,7 @@ class Tracker:
         self._full_refinement, self._weights = self._refiner.settings, track_weights()
         self._pursuit = Pursuit(self._refiner, s.challenger, s.filter, vid.kidney.scale)
         self._course, self._robot = Course(s), DeadReckoning(s.odometry, self.lumen, vid.kidney.scale)
+        self._tether = Tether(s.tether, s.filter.same_place_mm, s.filter.same_place_deg)
         self._reader = TrackReader(vid.settings, vid.camera, s.reading.learned)
         self.working_camera = self._reader.working_camera
         views = ViewSearch(vid, search or VIDEO_SEARCH, matching, self.working_camera)
@@ -184,6 +186,7 @@ class Tracker:
         """Forget everything: the scope may be anywhere."""
         self._course.reset()
         self._robot.reset()
+        self._tether.reset()
         self._aligned: Refined | None = None  # the pose in the last picture, where that showed something
         self._before: Hypotheses | None = None
         self._at_s: float | None = None
@@ -247,6 +250,8 @@ class Tracker:
         """
         start = time.perf_counter() if start is None else start
         self._robot.hear(odometry, t_s)
+        step = self._robot.step if sensor is None else None  # a sensor tells better
+        self._tether.carry(None if step is None else step.T_before_now)
         if features is None:
             self._aligned = None
             return self._bridge(t_s, start)
@@ -301,7 +306,7 @@ class Tracker:
         as_taken, features = features, self._pattern.removed(features)
         motion, carried = self.settings.motion, self._robot.carried
         since = None if self._before is None else Since.told(self._before, passed, motion, carried, self.lumen)
-        prior = expected(since, sensor, self.settings.challenger, self.lumen)
+        prior = expected(since, sensor, self.settings.challenger, self.lumen, self._tether)
         way = None if carried is None else carried.T_before_now
         told = self._told_places(t_s)
         evidence, relocated, refined = None, None, self._gone_on(features, prior, way, t_s)
@@ -319,10 +324,12 @@ class Tracker:
         T_aligned = T = refined.T_kidney_camera
         if self._state == TRACKING:
             T = self._steady(T_aligned, refined.score, t_s, sensor, told)
+        self._tether.see(T_aligned, refined.score, t_s, self._state == TRACKING and not self._course.coasts)
         self._learn(as_taken, refined, passed)
         self._remember(found, T if told else T_aligned, t_s)
         if self._state != TRACKING:
-            self._course.reset()
+            if not self._tether.binds:
+                self._course.reset()
             spent, places = time.perf_counter() - start, likeliest_places(found)
             return Tracked(self._state, None, -1, 0.0, fit, refined.score, spent, T_aligned, evidence, places=places)
         calyx = int(observed_calyx(T[None], self.vid.kidney, self.lumen)[0])
@@ -367,7 +374,7 @@ class Tracker:
                 return refined, None
         self._relocalizer.look_through(self._reader.scene)
         found = self._relocalizer.locate(image, as_taken)
-        if found is None:
+        if found is None or not self._tether.reaches(found.T_kidney_camera):
             return refined, None
         self._course.reset()
         return self._pursuit.restart(picture, found.T_kidney_camera), found
@@ -409,7 +416,7 @@ class Tracker:
         self, T: Array, score: float, t_s: float, sensor: SensorReading | None, told: tuple[Array, ...]
     ) -> Array:
         """The pose smoothed, see `Course.follow`; what spoke for a place does not speak for the one leapt to."""
-        T, leapt = self._course.follow(T, score, t_s, sensor, told)
+        T, leapt = self._course.follow(T, score, t_s, sensor, told, self._tether.reaches(T))
         if leapt:
             self._test.leapt()
             self._state = SEARCHING
