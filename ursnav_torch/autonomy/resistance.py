@@ -10,8 +10,8 @@ from ursnav_torch.autonomy.settings import AutonomySettings
 
 Array = NDArray[np.float64]
 
-#: Weight of a new picture in how far the scope has got.
-_NEWS = 0.25
+#: Pictures are weighed into how far the scope has got with this time constant, s: alike at any rate of the camera.
+_SMOOTH_S = 0.23
 #: Cycles of control whose insertion is kept: longer than a picture's answer takes.
 _KEPT = 100
 #: A tip that makes less of the way that the shaft was pushed meets resistance.
@@ -35,12 +35,15 @@ class Push:
     def __init__(self, settings: AutonomySettings, unit_mm: float) -> None:
         self._settings, self._progress_mm = settings, _PROGRESS_MM * unit_mm
         self._insertions: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._pulled = True  # whether the slider moved back last
         self.place_mm, self._seen_s, self._mark = np.zeros(3), 0.0, np.zeros(3)
         self._inserted = 0.0  # when the newest pictures were taken
         self.best_mm, self._best_s, self._from = 0.0, 0.0, 0.0
 
     def cycle(self, seen: Perception) -> None:
         """Keep the insertion of a cycle of control."""
+        step = seen.insertion_mm - self._insertions[-1][1] if self._insertions else 0.0
+        self._pulled = self._pulled if step == 0 else step < 0
         self._insertions.append((seen.t_s, seen.insertion_mm))
 
     def begin(self, seen: Perception, place_mm: Array, along_mm: float) -> None:
@@ -48,13 +51,14 @@ class Push:
         self.place_mm, self._seen_s, self._inserted = place_mm, seen.seen_s, self._inserted_at(seen.seen_s)
         self.best_mm, self._best_s, self._mark = along_mm, seen.t_s, place_mm
         slack = self._settings.slack_mm if seen.slack_mm is None else seen.slack_mm
-        self._from = self._inserted + slack  # it came by pulling: the slider turns round first
+        self._from = self._inserted + slack * self._pulled  # who came by pulling turns the slider round first
 
     def see(self, seen: Perception, place_mm: Array) -> None:
         """Weigh in where the newest picture sees the tip, (3,), and how far the shaft was in when it was taken."""
         if seen.seen_s != self._seen_s:
-            self._seen_s, self.place_mm = seen.seen_s, self.place_mm + _NEWS * (place_mm - self.place_mm)
-            self._inserted += _NEWS * (self._inserted_at(seen.seen_s) - self._inserted)
+            news = 1 - np.exp(-max(seen.seen_s - self._seen_s, 0.0) / _SMOOTH_S)
+            self._seen_s, self.place_mm = seen.seen_s, self.place_mm + news * (place_mm - self.place_mm)
+            self._inserted += float(news) * (self._inserted_at(seen.seen_s) - self._inserted)
 
     def gets_on(self, along_mm: float, t_s: float) -> bool:
         """Whether the tip, so far along the way by now, got on within what patience there is."""
