@@ -8,6 +8,7 @@ from conftest import HELD, later
 
 from ursnav_torch.autonomy import MOVING, TRANSITIONS, Permission, State, StateMachine, Wish
 from ursnav_torch.autonomy.states import IllegalTransitionError
+from ursnav_torch.autonomy.visits import OPEN
 
 
 def test_every_state_can_be_reached_and_left_but_the_last():
@@ -178,6 +179,23 @@ def test_an_inspection_that_a_doubt_broke_off_goes_on_where_it_stood(explorer, a
         explorer.step(seen := later(seen, 0.1, position_sd_mm=0.2, T_kidney_camera=T), HELD)
         states.append(explorer.machine.state)
     assert then in states and (then is not State.INSPECTING or State.RETREATING not in states), states
+
+
+@pytest.mark.parametrize(("before_mm", "blocked", "goes_in"), [(6.0, "", True), (1.0, "", False), (6.0, "why", False)])
+def test_an_inspection_that_views_drew_back_goes_in_once_more(explorer, at_root, before_mm, blocked, goes_in):
+    seen = in_state(explorer, at_root, State.INSPECTING)
+    inspection, target, explorer._blocked = explorer._inspection, explorer.target, blocked
+    inspection._in_vain[3] = 2
+    inspection.step = lambda *_: None  # no view shows more
+    way, T = explorer._ways[target], seen.T_kidney_camera.copy()
+    T[:3, 3] = way.point_at(way.length_mm - explorer.settings.standoff_mm - before_mm)
+    explorer.step(seen := later(seen, 0.1, T_kidney_camera=T), HELD)
+    assert (explorer.machine.state is State.APPROACHING and explorer.target == target) is goes_in
+    assert (not inspection._in_vain) is (goes_in or explorer.target != target)
+    if goes_in:
+        explorer._look_around(seen)
+        explorer.step(later(seen, 0.1), HELD)
+        assert explorer.visits[target].verdict != OPEN, "and no more than once"
 
 
 def test_it_retreats_bent_as_on_the_way_in(explorer, at_root):

@@ -39,6 +39,9 @@ _SAME_PLACE_MM = 2.0
 #: Past a stone that bars a way by more than this the scope cannot be, mm at scale 1: its place is wrong. Both set, not
 #: varied.
 _PAST_MM = 2.0
+#: An inspection that has drawn back so far from where the way in ends, and shows no more, goes in once more; mm at
+#: scale 1, set, not varied.
+_DRAWN_BACK_MM = 2.0
 #: A way in that got farther than those before by this much has not failed, mm at scale 1.
 _DEEPER_MM = 1.0
 
@@ -89,6 +92,7 @@ class Explorer:
         self._left: set[int] = set()  # calyces that it comes back to
         self._inspected_from: Array | None = None  # where a doubt broke an inspection off
         self._blocked, self._deepest_mm, self._backed_from = "", 0.0, 0.0
+        self._deepened = False  # whether the inspection has gone in once more
 
     @property
     def finished(self) -> bool:
@@ -261,7 +265,7 @@ class Explorer:
         self.target, self._hits, self._losses, self._room_mm = order[0], 0, 0, self.settings.room_mm
         self._inspection.reset()
         self._inspected_from = None
-        self._blocked, self._deepest_mm = "", 0.0
+        self._blocked, self._deepest_mm, self._deepened = "", 0.0, False
 
     def _leave_out_hidden(self) -> None:
         """Leave out the calyces behind stones, from before which next to nothing of them is seen.
@@ -364,9 +368,21 @@ class Explorer:
             self._close(seen, "the rest was not seen in time")
             return Wish()
         wish = self._inspection.step(seen, T, self.target, s.done_share - share)
-        if wish is None:
+        if wish is None and self._may_go_deeper(T):
+            self._inspection.stand_elsewhere()
+            self._begin(seen, T)
+        elif wish is None:
             self._close(seen, "no view from here shows more of it")
         return wish or Wish()
+
+    def _may_go_deeper(self, T: Array) -> bool:
+        """Whether the views of an inspection have drawn a pose (4, 4) back from where the way in may end, once."""
+        way, bar = self._ways[self.target], self._bars[self.target]
+        end_mm = min(way.length_mm - self.settings.standoff_mm, np.inf if bar is None else bar.end_mm)
+        if self._blocked or self._deepened or way.place_mm(T[:3, 3]) > end_mm - _DRAWN_BACK_MM * self._unit:
+            return False
+        self._deepened = True
+        return True
 
     def _share(self, calyx: int) -> float:
         """Part of a calyx's wall that was seen, of what the scope can see of it."""

@@ -48,6 +48,10 @@ class Inspection:
         self._at_s = seen.t_s
         self._forget()
 
+    def stand_elsewhere(self) -> None:
+        """From where the scope goes now, wall that was shown in vain may be seen."""
+        self._in_vain.clear()
+
     def resume(self, seen: Perception) -> None:
         """Go on after a stop; the view that was gone to still is."""
         stood_s, self._at_s = seen.t_s - self._at_s, seen.t_s
