@@ -19,7 +19,8 @@ Looked at picture by picture, by no command: of 1,074 poses 63 were more than 3 
 12 to 13 mm before the tip of E, where a stone bars the way; 42 of these were told more than 3 mm too deep, 25 nearer to
 the tip than the stone's center, with deviations of 1.0 to 2.6 mm. Since then a picture counts only where its place is
 sure to `CoverageSettings.largest_sd_mm`, and from no place past a stone in the way. That necks are looked behind, and
-do not rule places out, came of ``flights_57``, ``flights_51`` and ``flights_41``: these four have had a say.
+do not rule places out, came of ``flights_57``, ``flights_51`` and ``flights_41``, and that resistance is met alike at
+any rate of pictures of ``flights_61``: these five have had a say.
 """
 
 import hashlib
