@@ -306,10 +306,10 @@ def add_stones(report: Report, found: Sequence[dict[str, Any]]) -> None:
         report.add(
             "exploring", "of stones that a pose in reach shows, told", "%", [100 * hits / of], f"{hits}/{of}", of
         )
-    wrong = [sum(not s["right"] for s in f["stones"]) for f in found]
-    report.add("exploring", "stones told that are none, a kidney", "stones", wrong)
-    large = [sum(not s["right"] and s["size_mm"] >= 2 for s in f["stones"]) for f in found]
-    report.add("exploring", "stones told that are none, of 2 mm and more, a kidney", "stones", large)
+    wrong = [s for s in told if not s["right"]]
+    for what, some in (("", wrong), (", of 2 mm and more", [s for s in wrong if s["size_mm"] >= 2])):
+        name, a_kidney = f"stones told that are none{what}, a kidney", len(some) / len(found)
+        report.add("exploring", name, "stones", [a_kidney], f"{len(some)} in {len(found)}", len(found))
     if right:
         calyx = 100 * sum(s["in_calyx"] for s in right) / len(right)
         report.add("exploring", "stones told, in the right calyx", "%", [calyx], n=len(right))

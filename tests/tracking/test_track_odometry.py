@@ -13,8 +13,9 @@ from ursnav_torch.tracking.certainty import track_weights
 from ursnav_torch.tracking.relocalization import RelocalizationSettings, Relocated
 from ursnav_torch.tracking.robot.odometry import OdometryReading
 from ursnav_torch.tracking.robot.tether import TetherSettings
+from ursnav_torch.tracking.sensor import SensorReading
 from ursnav_torch.tracking.settings import ChallengerSettings, FilterSettings, TrackSettings
-from ursnav_torch.tracking.tracker import SEARCHING, TRACKING, Tracked, Tracker
+from ursnav_torch.tracking.tracker import LOST, SEARCHING, TRACKING, Tracked, Tracker
 from ursnav_torch.vid import Vid
 
 #: Binds nobody.
@@ -162,3 +163,30 @@ def test_a_still_found_out_of_reach_of_the_robot_counts_for_nothing(
         answer = tracker.step(renderer.render(here).image, 2.0, odometry=joints)
         assert answer.evidence is None or answer.evidence.relocated is not robot
         assert answer.T_kidney_camera is not None and near(answer.T_kidney_camera, here) is robot
+
+
+def test_a_sensor_tells_better_than_a_tether(vid: Vid, phantom: Kidney, renderer: RaycastRenderer) -> None:
+    tracker, here = Tracker(vid), flight(phantom, 2)[-1]
+    sensor = SensorReading(here[:3, 3], np.zeros(3), 0.5)
+    bound = []
+    for n in range(6):
+        tracker.step(renderer.render(here).image, n / 4, sensor if n == 5 else None, OdometryReading(5.0))
+        bound.append(tracker._tether.binds)
+    assert bound[-2:] == [True, False]
+
+
+def test_a_lost_track_is_looked_for_first_where_its_robot_leads(
+    vid: Vid, phantom: Kidney, renderer: RaycastRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker, here, told = Tracker(vid), flight(phantom, 2)[-1], []
+    for n in range(6):
+        tracker.step(renderer.render(here).image, n / 4, odometry=OdometryReading(5.0))
+    monkeypatch.setattr(tracker._test, "add", lambda *_: None)
+    monkeypatch.setattr(type(tracker._test), "verdict", False)
+    follow_on = tracker._pursuit.follow
+    monkeypatch.setattr(
+        tracker._pursuit, "follow", lambda picture, anew: told.append(picture.told) or follow_on(picture, anew=anew)
+    )
+    for n in range(6, 9):
+        answer = tracker.step(renderer.render(here).image, n / 4, odometry=OdometryReading(5.0))
+        assert answer.state == LOST and near(told[-1][0], here)

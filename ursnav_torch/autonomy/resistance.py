@@ -51,14 +51,14 @@ class Push:
         self.place_mm, self._seen_s, self._inserted = place_mm, seen.seen_s, self._inserted_at(seen.seen_s)
         self.best_mm, self._best_s, self._mark = along_mm, seen.t_s, place_mm
         slack = self._settings.slack_mm if seen.slack_mm is None else seen.slack_mm
-        self._from = self._inserted + slack * self._pulled  # who came by pulling turns the slider round first
+        self._from = self._inserted + (slack if self._pulled else 0.0)  # who came by pulling turns the slider first
 
     def see(self, seen: Perception, place_mm: Array) -> None:
         """Weigh in where the newest picture sees the tip, (3,), and how far the shaft was in when it was taken."""
         if seen.seen_s != self._seen_s:
-            news = 1 - np.exp(-max(seen.seen_s - self._seen_s, 0.0) / _SMOOTH_S)
+            news = 1 - float(np.exp(-max(seen.seen_s - self._seen_s, 0.0) / _SMOOTH_S))
             self._seen_s, self.place_mm = seen.seen_s, self.place_mm + news * (place_mm - self.place_mm)
-            self._inserted += float(news) * (self._inserted_at(seen.seen_s) - self._inserted)
+            self._inserted += news * (self._inserted_at(seen.seen_s) - self._inserted)
 
     def gets_on(self, along_mm: float, t_s: float) -> bool:
         """Whether the tip, so far along the way by now, got on within what patience there is."""

@@ -76,8 +76,7 @@ class Course:
         if expected is not None and not self._near(expected[None], T)[0]:
             s = self._settings.challenger
             foreseen = not told or bool(self._near(np.array(told), T).any())
-            if not foreseen and (not reached or self._goes_on_coasting(expected, T, score, t_s)):
-                self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
+            if not foreseen and self._goes_on_coasting(expected, T, score, t_s, reached):
                 return self._measured(expected, sensor), False
             if score < (s.reacquire_below if foreseen else s.leap_above):
                 return expected, False
@@ -94,17 +93,17 @@ class Course:
         self._smooth.measure(at, sensor.sigma_mm)
         return self._smooth.pose()
 
-    def _goes_on_coasting(self, expected: Array, T: Array, score: float, t_s: float) -> bool:
-        """Whether an alignment that no robot foresaw is too bad, or too new, to be followed."""
+    def _goes_on_coasting(self, expected: Array, T: Array, score: float, t_s: float, reached: bool) -> bool:
+        """Whether an alignment that no robot foresaw is out of its reach, too bad, or too new, to be followed."""
         s, near_mm = self._settings.challenger, self._settings.filter.same_place_mm
         away = float(np.linalg.norm(T[:3, 3] - expected[:3, 3])) > near_mm
-        if score >= (s.coast_below if away else s.challenge_below):
+        if reached and score >= (s.coast_below if away else s.challenge_below):
             return False
         self._coasts_s = t_s if self._coasts_s is None else self._coasts_s
         if score < s.leap_above or not self._follows(T, t_s):
             self._persists_s = t_s
         self._elsewhere, self._elsewhere_s, self._carried = T, t_s, np.eye(4)
-        return t_s - self._coasts_s < s.coast_s and not self._persists(t_s)
+        return not reached or (t_s - self._coasts_s < s.coast_s and not self._persists(t_s))
 
     def _follows(self, T: Array, t_s: float) -> bool:
         """Whether an alignment (4, 4) is where the robot moved on from the last that was not believed, not long ago."""

@@ -72,6 +72,7 @@ def test_a_place_in_reach_a_bad_one_or_another_one_makes_it_begin_again(other) -
     assert tether.binds
 
 
-def test_no_one_word_is_a_tether() -> None:
-    with pytest.raises(InputError, match="reach_mm > 0"):
-        TetherSettings(reach_mm=0.0)
+@pytest.mark.parametrize("name", ["reach_mm", "reach_share", "release_s", "beyond_score"])
+def test_settings_without_a_meaning_are_refused(name) -> None:
+    with pytest.raises(InputError, match="reach_mm > 0, and reach_share, release_s and beyond_score"):
+        TetherSettings(**{name: -0.1})

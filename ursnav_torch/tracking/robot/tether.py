@@ -43,10 +43,10 @@ class TetherSettings:
     beyond_score: float = 0.15
 
     def __post_init__(self) -> None:
-        if not (self.reach_mm > 0 and self.reach_share >= 0 and self.release_s >= 0):
+        if not (self.reach_mm > 0 and min(self.reach_share, self.release_s, self.beyond_score) >= 0):
             raise InputError(
-                "A tether needs reach_mm > 0, reach_share >= 0 and release_s >= 0, got "
-                f"{self.reach_mm}, {self.reach_share} and {self.release_s}."
+                "A tether needs reach_mm > 0, and reach_share, release_s and beyond_score of at least 0; got "
+                f"{self.reach_mm}, {self.reach_share}, {self.release_s} and {self.beyond_score}."
             )
 
 
